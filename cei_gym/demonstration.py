@@ -1,0 +1,87 @@
+"""A demonstration: one recorded episode of one embodiment, in SI units and a named scene."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cei_gym.errors import CEIError
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated pinhole camera.
+
+    Attributes:
+        name: the name under which depth images are stored.
+        width, height: image size in pixels.
+        K: (3, 3) intrinsics in pixels.
+        T_world_camera: (4, 4) pose of the camera in the world; OpenCV axes (x right, y down, z forward).
+    """
+
+    name: str
+    width: int
+    height: int
+    K: np.ndarray
+    T_world_camera: np.ndarray
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What stands still during an episode.
+
+    Attributes:
+        T_world_base: (4, 4) pose of the robot's base in the world frame.
+        cameras: the depth cameras.
+        workspace_world: (2, 3) lower and upper corner of the box that clouds are cropped to, metres, world.
+    """
+
+    T_world_base: np.ndarray
+    cameras: tuple[Camera, ...]
+    workspace_world: np.ndarray
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """One episode of T frames.
+
+    Attributes:
+        embodiment: catalogue name, `<Arm>-<EndEffector>`.
+        fps: frames a second.
+        qpos: (T, n) joint positions, arm then end-effector, rad (hinge) or m (slide).
+        action: (T, n) absolute joint position targets in the same layout.
+        scene: base pose, cameras, workspace.
+        task: instruction in words.
+        depth_m: camera name to (T, H, W) float32 depth along the optical axis in metres, 0 where unknown.
+        point_cloud_world: (T, P, 3) float32 cloud in metres, or None.
+        environment_state: (T, k) float64 state of the task's objects, or None.
+        environment_state_names: k names, with units.
+        index: the episode's index in the dataset that it came from.
+    """
+
+    embodiment: str
+    fps: float
+    qpos: np.ndarray
+    action: np.ndarray
+    scene: Scene
+    task: str = ""
+    depth_m: Mapping[str, np.ndarray] = field(default_factory=dict)
+    point_cloud_world: np.ndarray | None = None
+    environment_state: np.ndarray | None = None
+    environment_state_names: tuple[str, ...] = ()
+    index: int = 0
+
+    def __post_init__(self) -> None:
+        where = f"episode {self.index}"
+        if len(self.qpos) == 0:
+            raise CEIError(f"{where} has no frames; drop it with --episodes or record it again.")
+        if self.qpos.shape != self.action.shape:
+            raise CEIError(f"{where}: state {self.qpos.shape} and action {self.action.shape} differ in shape.")
+        for name, values in (("state", self.qpos), ("action", self.action)):
+            bad = np.argwhere(~np.isfinite(values))
+            if len(bad):
+                frame, joint = bad[0]
+                raise CEIError(f"{where}: {name} is not finite at frame {frame}, joint {joint}.")
+
+    def __len__(self) -> int:
+        return len(self.qpos)
