@@ -1,0 +1,30 @@
+"""Embodiments: arm x end-effector, from MJCF or URDF and one small typed YAML each."""
+
+from cei_gym.embodiment.catalogue import (
+    ARMS,
+    END_EFFECTORS,
+    embodiment_names,
+    load_arm,
+    load_embodiment,
+    load_end_effector,
+)
+from cei_gym.embodiment.embodiment import Coupled, Embodiment, build_embodiment
+from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec, Pad, PhysicsException, load_spec
+
+__all__ = [
+    "ARMS",
+    "END_EFFECTORS",
+    "ArmSpec",
+    "Coupled",
+    "Coupling",
+    "Embodiment",
+    "EndEffectorSpec",
+    "Pad",
+    "PhysicsException",
+    "build_embodiment",
+    "embodiment_names",
+    "load_arm",
+    "load_embodiment",
+    "load_end_effector",
+    "load_spec",
+]

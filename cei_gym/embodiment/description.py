@@ -1,0 +1,102 @@
+"""Robot descriptions (MJCF or URDF) to `mujoco.MjSpec`, through MuJoCo's own parser, as untrusted input."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, tostring
+
+import defusedxml.ElementTree as safe_xml
+import mujoco
+from defusedxml.common import DefusedXmlException
+
+from cei_gym.embodiment.resources import within
+from cei_gym.embodiment.spec import Coupling
+from cei_gym.errors import CEIError
+
+
+@dataclass(frozen=True)
+class Description:
+    """A parsed description: an editable model, and the couplings that its file declares."""
+
+    spec: mujoco.MjSpec
+    couplings: dict[str, Coupling]
+
+
+def load_description(path: Path, root: Path) -> Description:
+    """Parse an MJCF or URDF file.
+
+    Args:
+        path: the file.
+        root: folder that every mesh and include must stay inside.
+
+    Raises:
+        CEIError: not XML, XML entities, a mesh outside `root`, or a model that MuJoCo refuses.
+    """
+    try:
+        tree = safe_xml.parse(path).getroot()
+    except DefusedXmlException:
+        raise CEIError(f"{path.name}: XML entities are not allowed in a robot description.") from None
+    except safe_xml.ParseError as error:
+        raise CEIError(f"{path.name}: not well-formed XML: {error}.") from None
+    try:
+        if tree.tag == "robot":
+            return _load_urdf(tree, path, root)
+        if tree.tag == "mujoco":
+            return _load_mjcf(tree, path, root)
+    except ValueError as error:
+        if isinstance(error, CEIError):
+            raise
+        raise CEIError(f"{path.name}: MuJoCo refuses it: {' '.join(str(error).split())}") from error
+    raise CEIError(f"{path.name}: root element <{tree.tag}> is neither <mujoco> (MJCF) nor <robot> (URDF).")
+
+
+def _load_mjcf(tree: Element, path: Path, root: Path) -> Description:
+    compiler = tree.find("compiler")
+    folder = path.parent / (compiler.get("meshdir", "") if compiler is not None else "")
+    for element in tree.iter():
+        if file := element.get("file"):
+            within(root, folder / file, file)
+    spec = mujoco.MjSpec.from_file(str(path))
+    return Description(spec, _equality_couplings(spec))
+
+
+def _equality_couplings(spec: mujoco.MjSpec) -> dict[str, Coupling]:
+    """Joint equalities that are linear: `y - y0 = a0 + a1 (x - x0)` with y0, x0 the joints' references."""
+    couplings = {}
+    for equality in spec.equalities:
+        if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.name2:
+            continue
+        a0, a1, *rest = equality.data[:5]
+        if any(rest):
+            raise CEIError(f"joint equality {equality.name!r} is not linear; only q = a u + b is supported.")
+        y0, x0 = spec.joint(equality.name1).ref, spec.joint(equality.name2).ref
+        couplings[equality.name1] = Coupling(equality.name2, float(a1), float(y0 + a0 - a1 * x0))
+    return couplings
+
+
+def _load_urdf(tree: Element, path: Path, root: Path) -> Description:
+    couplings = {}
+    for joint in tree.iter("joint"):
+        # MuJoCo drops <mimic> without a word.
+        if (mimic := joint.find("mimic")) is not None:
+            scale, offset = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
+            couplings[joint.get("name", "")] = Coupling(mimic.get("joint", ""), scale, offset)
+    for mesh in tree.iter("mesh"):
+        mesh.set("filename", str(_urdf_mesh(mesh.get("filename", ""), path, root)))
+    for extension in tree.findall("mujoco"):
+        tree.remove(extension)
+    extension = Element("mujoco")
+    options = {"strippath": "false", "discardvisual": "false", "fusestatic": "false", "balanceinertia": "true"}
+    extension.append(Element("compiler", options))
+    tree.insert(0, extension)
+    return Description(mujoco.MjSpec.from_string(tostring(tree, encoding="unicode")), couplings)
+
+
+def _urdf_mesh(uri: str, path: Path, root: Path) -> Path:
+    """A mesh named relative to the URDF, or by `package://<ROS package>/...` (an enclosing folder of that name)."""
+    if not uri.startswith("package://"):
+        return within(root, path.parent / uri.removeprefix("file://"), uri)
+    package, _, inside = uri.removeprefix("package://").partition("/")
+    folder = next((p for p in path.resolve().parents if p.name == package), None)
+    if folder is None:
+        raise CEIError(f"{path.name}: mesh {uri!r}: no enclosing folder is named {package!r}.")
+    return within(folder, folder / inside, uri)

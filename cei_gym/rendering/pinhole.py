@@ -1,0 +1,105 @@
+"""Pinhole cameras: made from a viewpoint or from a MuJoCo camera, and depth turned back into points.
+
+Pixel (0, 0) is the upper left one and integer coordinates are pixel centres, so the middle of an image is ((W - 1) / 2,
+(H - 1) / 2).
+"""
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cei_gym.demonstration import Camera
+from cei_gym.errors import CEIError, unknown
+
+
+def intrinsics(width: int, height: int, fovy_deg: float) -> np.ndarray:
+    """(3, 3) K in pixels for square pixels and a vertical field of view in degrees."""
+    if not (width > 0 and height > 0 and 0 < fovy_deg < 180):
+        raise CEIError(
+            f"a camera of {width}x{height} pixels and {fovy_deg} degrees cannot see; use 0 < fovy < 180."
+        )
+    focal = height / 2 / np.tan(np.deg2rad(fovy_deg) / 2)
+    return np.array([[focal, 0.0, (width - 1) / 2], [0.0, focal, (height - 1) / 2], [0.0, 0.0, 1.0]])
+
+
+def look_at(
+    name: str,
+    eye: ArrayLike,
+    target: ArrayLike,
+    width: int,
+    height: int,
+    fovy_deg: float,
+    up: ArrayLike = (0.0, 0.0, 1.0),
+) -> Camera:
+    """A camera at `eye` that looks at `target`, both (3,) in metres in the world, with `up` (3,) upwards in the image.
+
+    Raises:
+        CEIError: the line of sight has no length or is parallel to `up`.
+    """
+    forward = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
+    right = np.cross(forward, np.asarray(up, dtype=np.float64))
+    if np.linalg.norm(right) < 1e-9:
+        raise CEIError(
+            f"camera {name!r} looks along its own up direction; give another `up`, or another target."
+        )
+    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+    T_world_camera = np.eye(4)
+    T_world_camera[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    T_world_camera[:3, 3] = eye
+    return Camera(name, width, height, intrinsics(width, height, fovy_deg), T_world_camera)
+
+
+def camera_from_mujoco(
+    model: mujoco.MjModel, data: mujoco.MjData, camera: int | str, width: int, height: int
+) -> Camera:
+    """The model's camera as it stands now (one that moves with a body must be made again when the body moves).
+
+    Raises:
+        CEIError: no such camera, or it is given by a sensor size instead of a field of view.
+    """
+    names = [model.camera(i).name for i in range(model.ncam)]
+    if (camera not in names) if isinstance(camera, str) else not 0 <= camera < model.ncam:
+        raise unknown("camera", camera, names)
+    index = model.camera(camera).id
+    if model.cam_sensorsize[index].any():
+        raise CEIError(f"camera {names[index]!r} is given by a sensor size; only a fovy is understood.")
+    T_world_camera = np.eye(4)
+    T_world_camera[:3, :3] = data.cam_xmat[index].reshape(3, 3) * (1.0, -1.0, -1.0)  # OpenGL to OpenCV axes
+    T_world_camera[:3, 3] = data.cam_xpos[index]
+    K = intrinsics(width, height, float(model.cam_fovy[index]))
+    return Camera(names[index] or f"camera{index}", width, height, K, T_world_camera)
+
+
+def camera_points(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
+    """(H, W, 3) points in the camera's frame in metres, the origin where depth is 0."""
+    v, u = np.indices(depth_m.shape)
+    K = camera.K
+    return (
+        np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], axis=-1)
+        * depth_m[..., None]
+    )
+
+
+def unproject(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
+    """Points seen in a depth image.
+
+    Args:
+        depth_m: (H, W) depth along the optical axis, metres; 0 or not finite means unknown.
+        camera: the camera that took it.
+
+    Returns:
+        (N, 3) float64 points in the world, metres, one for each known pixel, row by row.
+
+    Raises:
+        CEIError: the image is not of the camera's size.
+    """
+    if depth_m.shape != (camera.height, camera.width):
+        raise CEIError(
+            f"camera {camera.name!r} takes {camera.height}x{camera.width} images, not {'x'.join(map(str, depth_m.shape))}."
+        )
+    known = np.isfinite(depth_m) & (depth_m > 0)
+    v, u = np.nonzero(known)
+    z = depth_m[known].astype(np.float64)
+    K = camera.K
+    points_camera = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], axis=1)
+    return points_camera @ camera.T_world_camera[:3, :3].T + camera.T_world_camera[:3, 3]

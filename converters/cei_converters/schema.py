@@ -1,0 +1,120 @@
+"""Names, shapes and units of the features of our LeRobot v3.0 datasets."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cei_gym.demonstration import Demonstration
+from cei_gym.embodiment import Embodiment
+from cei_gym.errors import CEIError
+
+STATE = "observation.state"
+ACTION = "action"
+# a key that contains "image" trips LeRobot's check of image statistics
+POINT_CLOUD = "observation.point_cloud"
+ENVIRONMENT_STATE = "observation.environment_state"
+DEPTH_PREFIX = "observation.depth."
+
+UNITS = ("rad", "m")
+MM_PER_M = 1000.0
+MAX_DEPTH_MM = np.iinfo(np.uint16).max
+
+
+def joint_feature_name(joint: str, unit: str) -> str:
+    """`joint_1`, `rad` -> `joint_1.pos_rad`."""
+    return f"{joint}.pos_{unit}"
+
+
+def joint_feature_names(embodiment: Embodiment) -> list[str]:
+    """Feature names of an embodiment's joints, arm then end-effector."""
+    pairs = zip(embodiment.joint_names, embodiment.joint_units, strict=True)
+    return [joint_feature_name(joint, unit) for joint, unit in pairs]
+
+
+def parse_joint_feature_name(name: str) -> tuple[str, str]:
+    """`joint_1.pos_rad` -> (`joint_1`, `rad`).
+
+    Raises:
+        CEIError: the name has no unit, or one that is not rad or m.
+    """
+    joint, _, unit = name.rpartition(".pos_")
+    if not joint:
+        right = " or ".join(repr(joint_feature_name(name.removesuffix(".pos"), unit)) for unit in UNITS)
+        raise CEIError(f"{name}: the joint's name carries no unit; it should read {right}.")
+    if unit in ("deg", "degree", "degrees"):
+        raise CEIError(f"{name}: degrees are not supported, convert to rad.")
+    if unit not in UNITS:
+        raise CEIError(f"{name}: unit {unit!r} is not supported. Valid: {', '.join(UNITS)}.")
+    return joint, unit
+
+
+def check_joint_names(names: Sequence[str], embodiment: Embodiment, where: str) -> None:
+    """Check that names are the embodiment's joints, in its order and units.
+
+    Raises:
+        CEIError: saying which name differs first and what would be right.
+    """
+    for name in names:
+        parse_joint_feature_name(name)
+    expected = joint_feature_names(embodiment)
+    if len(names) != len(expected):
+        raise CEIError(
+            f"{where} has {len(names)} joints but {embodiment.name} has {len(expected)}: {', '.join(expected)}."
+        )
+    for position, (name, right) in enumerate(zip(names, expected, strict=True)):
+        if name != right:
+            raise CEIError(
+                f"{where}: joint {position} is {name!r} but {embodiment.name} has {right!r} there; "
+                f"its order is {', '.join(expected)}."
+            )
+
+
+def depth_key(camera: str) -> str:
+    """Feature key of a depth camera."""
+    return DEPTH_PREFIX + camera
+
+
+def feature_names(feature: Mapping[str, object]) -> list[str]:
+    """Names of a feature's entries: LeRobot has them as a list, older datasets as a dict with one list."""
+    names = feature.get("names") or []
+    if isinstance(names, Mapping):
+        names = [name for group in names.values() for name in group]
+    return [str(name) for name in names]
+
+
+def features(embodiment: Embodiment, demonstration: Demonstration) -> dict[str, dict]:
+    """LeRobot features for demonstrations that carry the same observations as the given one."""
+    joints = {"dtype": "float32", "shape": (len(embodiment.joint_names),)}
+    result: dict[str, dict] = {
+        STATE: {**joints, "names": joint_feature_names(embodiment)},
+        ACTION: {**joints, "names": joint_feature_names(embodiment)},
+    }
+    if demonstration.point_cloud_world is not None:
+        points = demonstration.point_cloud_world.shape[1]
+        result[POINT_CLOUD] = {"dtype": "float32", "shape": (points, 3), "names": ["point", "xyz_m"]}
+    for camera, depth_m in demonstration.depth_m.items():
+        result[depth_key(camera)] = {
+            "dtype": "image",  # lossless; LeRobot's depth video rounds to 12 bits
+            "shape": (*depth_m.shape[1:], 1),
+            "names": ["height", "width", "channels"],
+            "info": {"is_depth_map": True, "depth_unit": "mm"},
+        }
+    if demonstration.environment_state is not None:
+        names = list(demonstration.environment_state_names)
+        result[ENVIRONMENT_STATE] = {"dtype": "float32", "shape": (len(names),), "names": names}
+    return result
+
+
+def depth_to_mm(depth_m: np.ndarray) -> np.ndarray:
+    """(..., H, W) float metres -> (..., H, W, 1) uint16 millimetres; 0 stays "unknown".
+
+    Raises:
+        CEIError: a depth is negative, not finite, or beyond 65.535 m.
+    """
+    depth_mm = np.rint(depth_m * MM_PER_M)
+    if not (np.isfinite(depth_mm).all() and depth_mm.min() >= 0 and depth_mm.max() <= MAX_DEPTH_MM):
+        raise CEIError(
+            f"depth must be finite and within [0, {MAX_DEPTH_MM / MM_PER_M}] m, 0 where unknown; "
+            f"got {np.min(depth_m)} to {np.max(depth_m)}."
+        )
+    return depth_mm.astype(np.uint16)[..., None]
