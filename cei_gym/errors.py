@@ -10,7 +10,7 @@ class CEIError(ValueError):
 
 def unknown(kind: str, name: object, valid: Iterable[str]) -> CEIError:
     """Error for a name that is not among the valid ones, which it lists (closest first)."""
-    names = list(valid)
+    names = [str(v) for v in valid]
     close = get_close_matches(str(name), names, n=1)
     hint = f" Did you mean {close[0]!r}?" if close else ""
     return CEIError(f"unknown {kind} {name!r}.{hint} Valid: {', '.join(names)}.")

@@ -85,7 +85,12 @@ def _load_urdf(tree: Element, path: Path, root: Path) -> Description:
     for extension in tree.findall("mujoco"):
         tree.remove(extension)
     extension = Element("mujoco")
-    options = {"strippath": "false", "discardvisual": "false", "fusestatic": "false", "balanceinertia": "true"}
+    options = {
+        "strippath": "false",
+        "discardvisual": "false",
+        "fusestatic": "false",
+        "balanceinertia": "true",
+    }
     extension.append(Element("compiler", options))
     tree.insert(0, extension)
     return Description(mujoco.MjSpec.from_string(tostring(tree, encoding="unicode")), couplings)

@@ -97,7 +97,9 @@ class Embodiment:
         """(m,) bounds of the independent joints such that every joint, followers included, is within its limits."""
         lower = np.full(len(self.coupled.independent), -np.inf)
         upper = -lower
-        for q, (u, scale, offset) in enumerate(zip(self.coupled.leader, self.coupled.scale, self.coupled.offset, strict=True)):
+        for q, (u, scale, offset) in enumerate(
+            zip(self.coupled.leader, self.coupled.scale, self.coupled.offset, strict=True)
+        ):
             if scale == 0:
                 continue
             a, b = sorted(((self.lower[q] - offset) / scale, (self.upper[q] - offset) / scale))
@@ -181,7 +183,9 @@ def _from_model(
         raise CEIError(f"{name}: arm and end-effector share a joint name: {sorted(public)}.")
     is_hand = np.array([n.startswith(END_EFFECTOR_PREFIX) for n in names])
     if np.any(np.diff(is_hand.astype(int)) < 0):
-        raise CEIError(f"{name}: joints of arm and end-effector interleave; give the arm one chain to its mount_body.")
+        raise CEIError(
+            f"{name}: joints of arm and end-effector interleave; give the arm one chain to its mount_body."
+        )
     limited = model.jnt_limited.astype(bool)
     lower = np.where(limited, model.jnt_range[:, 0], -CONTINUOUS_LIMIT_RAD)
     upper = np.where(limited, model.jnt_range[:, 1], CONTINUOUS_LIMIT_RAD)
@@ -202,7 +206,18 @@ def _from_model(
     closed = _pose(name, public, coupled, pose | ({} if end_effector is None else end_effector.closed))
     units = tuple("rad" if kind == hinge else "m" for kind in model.jnt_type)
     embodiment = Embodiment(
-        name, arm, end_effector, model, tuple(public), units, int(np.sum(~is_hand)), lower, upper, coupled, home, closed
+        name,
+        arm,
+        end_effector,
+        model,
+        tuple(public),
+        units,
+        int(np.sum(~is_hand)),
+        lower,
+        upper,
+        coupled,
+        home,
+        closed,
     )
     for label, values in (("home", home), ("closed", closed)):
         for q in np.flatnonzero((values < lower - 1e-6) | (values > upper + 1e-6)):
@@ -227,7 +242,9 @@ def _couple(name: str, names: list[str], couplings: dict[str, Coupling]) -> Coup
             c = couplings[joint]
             scale[q], offset[q], joint = scale[q] * c.scale, offset[q] + scale[q] * c.offset, c.joint
             if joint in seen:
-                raise CEIError(f"{name}: couplings go round in a circle: {' -> '.join(map(_public, [*seen, joint]))}.")
+                raise CEIError(
+                    f"{name}: couplings go round in a circle: {' -> '.join(map(_public, [*seen, joint]))}."
+                )
             seen.append(joint)
         leader[q] = position[names.index(joint)]
     return Coupled(leader, scale, offset, np.array(independent))

@@ -12,7 +12,9 @@ def package_root(package: str) -> Path:
     """Folder of an installed Python package, found without importing it."""
     spec = find_spec(package)
     if spec is None or not spec.submodule_search_locations:
-        raise CEIError(f"package {package!r} is not installed; its robot descriptions are needed: pip install {package}.")
+        raise CEIError(
+            f"package {package!r} is not installed; its robot descriptions are needed: pip install {package}."
+        )
     return Path(next(iter(spec.submodule_search_locations)))
 
 

@@ -16,8 +16,8 @@ NEAR_M = 0.01
 class DepthCamera:
     """Renders depth and geom ids from fixed viewpoints.
 
-    Sizes of primitive geoms are read at every frame; meshes, groups and colours when the camera is made. A new model (as
-    after a hard reset) needs a new camera.
+    Sizes of primitive geoms are read at every frame; meshes, groups and transparency when the camera is made.
+    A new model (as after a hard reset) needs a new camera.
     """
 
     def __init__(
@@ -45,8 +45,8 @@ class DepthCamera:
         """Images of the scene as `data` has it (after `mj_forward` or `mj_kinematics`).
 
         Returns:
-            camera name to depth (H, W) float32 in metres along the optical axis, 0 where nothing is, and geom id (H, W) int32,
-            -1 where nothing is.
+            camera name to depth (H, W) float32, metres along the optical axis, and geom id (H, W) int32;
+            0 and -1 where nothing is.
         """
         triangles = self._triangles
         R_world_geom = data.geom_xmat[triangles.geom_id].reshape(-1, 3, 3)

@@ -6,8 +6,8 @@ import numpy as np
 def cluster_vertices(vertices: np.ndarray, faces: np.ndarray, cell_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Merges the vertices that share a cubic cell, and drops the triangles that collapse.
 
-    Every vertex moves less than `sqrt(3) * cell_m`. Unlike edge collapse under a quadric error this cannot tear a mesh whose
-    seams are not welded, as robot meshes' are not: equal vertices share a cell.
+    Every vertex moves less than `sqrt(3) * cell_m`. Unlike quadric edge collapse this cannot tear a mesh
+    whose seams are not welded (robots' seldom are): equal vertices share a cell.
 
     Args:
         vertices: (V, 3) metres.
@@ -28,7 +28,7 @@ def cluster_vertices(vertices: np.ndarray, faces: np.ndarray, cell_m: float) -> 
 
 
 def is_closed(faces: np.ndarray) -> bool:
-    """Whether every directed edge has its opposite, so that from outside no back of a triangle can be seen."""
+    """Whether every directed edge has its opposite, so that no back of a triangle is seen from outside."""
     start = faces.astype(np.int64)
     end = np.roll(start, -1, axis=1)
     count = start.max(initial=0) + 1

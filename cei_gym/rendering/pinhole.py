@@ -1,7 +1,7 @@
 """Pinhole cameras: made from a viewpoint or from a MuJoCo camera, and depth turned back into points.
 
-Pixel (0, 0) is the upper left one and integer coordinates are pixel centres, so the middle of an image is ((W - 1) / 2,
-(H - 1) / 2).
+Pixel (0, 0) is the upper left one and integer coordinates are pixel centres, as in OpenCV, so the middle of
+an image is ((W - 1) / 2, (H - 1) / 2).
 """
 
 import mujoco
@@ -15,9 +15,7 @@ from cei_gym.errors import CEIError, unknown
 def intrinsics(width: int, height: int, fovy_deg: float) -> np.ndarray:
     """(3, 3) K in pixels for square pixels and a vertical field of view in degrees."""
     if not (width > 0 and height > 0 and 0 < fovy_deg < 180):
-        raise CEIError(
-            f"a camera of {width}x{height} pixels and {fovy_deg} degrees cannot see; use 0 < fovy < 180."
-        )
+        raise CEIError(f"a camera needs pixels and 0 < fovy < 180, not {width}x{height} and {fovy_deg}.")
     focal = height / 2 / np.tan(np.deg2rad(fovy_deg) / 2)
     return np.array([[focal, 0.0, (width - 1) / 2], [0.0, focal, (height - 1) / 2], [0.0, 0.0, 1.0]])
 
@@ -31,7 +29,7 @@ def look_at(
     fovy_deg: float,
     up: ArrayLike = (0.0, 0.0, 1.0),
 ) -> Camera:
-    """A camera at `eye` that looks at `target`, both (3,) in metres in the world, with `up` (3,) upwards in the image.
+    """A camera at `eye` that looks at `target`: (3,) world points, metres; `up` (3,) is up in the image.
 
     Raises:
         CEIError: the line of sight has no length or is parallel to `up`.
@@ -52,7 +50,7 @@ def look_at(
 def camera_from_mujoco(
     model: mujoco.MjModel, data: mujoco.MjData, camera: int | str, width: int, height: int
 ) -> Camera:
-    """The model's camera as it stands now (one that moves with a body must be made again when the body moves).
+    """The model's camera where it is now (make one that moves with a body again when the body moves).
 
     Raises:
         CEIError: no such camera, or it is given by a sensor size instead of a field of view.
@@ -95,7 +93,7 @@ def unproject(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
     """
     if depth_m.shape != (camera.height, camera.width):
         raise CEIError(
-            f"camera {camera.name!r} takes {camera.height}x{camera.width} images, not {'x'.join(map(str, depth_m.shape))}."
+            f"camera {camera.name!r} takes images of {(camera.height, camera.width)}, not of {depth_m.shape}."
         )
     known = np.isfinite(depth_m) & (depth_m > 0)
     v, u = np.nonzero(known)

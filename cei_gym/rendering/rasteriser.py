@@ -27,7 +27,7 @@ def rasterise(
     Args:
         vertices, caps, faces, vertex_range, face_range, one_sided, geom_id: see `triangles.Triangles`.
         scale, shift: (G, 3) and (G,) metres, see `shapes`.
-        R_camera_geom, p_camera_geom: (G, 3, 3) and (G, 3) poses of the geoms in the camera's OpenCV frame, metres.
+        R_camera_geom, p_camera_geom: (G, 3, 3) and (G, 3) poses in the camera's OpenCV frame, metres.
         intrinsics: fx, fy, cx, cy in pixels; integer coordinates are pixel centres.
         near_m: nearer parts of triangles are cut away.
         inverse_depth: (H, W) float64, 1/m, 0 where nothing was drawn.
@@ -62,19 +62,11 @@ def rasterise(
             i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
             hidden = (uvw[i, 2] == 0.0) + (uvw[j, 2] == 0.0) + (uvw[k, 2] == 0.0)
             if hidden == 0:
-                _draw(uvw[i], uvw[j], uvw[k], one_sided[g], geom_id[g], inverse_depth, id_image)
+                _draw(uvw, i, j, k, one_sided[g], geom_id[g], inverse_depth, id_image)
             elif hidden < 3:
                 corners = _clip(xyz[i], xyz[j], xyz[k], intrinsics, near_m)
                 for c in range(1, len(corners) - 1):
-                    _draw(
-                        corners[0],
-                        corners[c],
-                        corners[c + 1],
-                        one_sided[g],
-                        geom_id[g],
-                        inverse_depth,
-                        id_image,
-                    )
+                    _draw(corners, 0, c, c + 1, one_sided[g], geom_id[g], inverse_depth, id_image)
 
 
 @njit(cache=True, nogil=True)
@@ -108,7 +100,7 @@ def _outside(radius, p, intrinsics, near_m, shape):
 
 @njit(cache=True, nogil=True)
 def _clip(a, b, c, intrinsics, near_m):
-    """Corners (3 or 4, 3) in pixels and inverse depth of what the near plane leaves of a triangle (camera frame)."""
+    """(3 or 4, 3) corners (u, v, 1/z) of what the near plane leaves of a triangle in the camera's frame."""
     fx, fy, cx, cy = intrinsics
     corners = np.empty((4, 3))
     count = 0
@@ -127,23 +119,22 @@ def _clip(a, b, c, intrinsics, near_m):
     return corners[:count]
 
 
-@njit(cache=True, nogil=True)
-def _draw(a, b, c, one_sided, geom, inverse_depth, id_image):
-    """Draws a triangle of (u, v, 1/z) corners; inverse depth is affine in the image."""
-    au, av, aw = a[0], a[1], a[2]
-    bu, bv, bw = b[0], b[1], b[2]
-    cu, cv, cw = c[0], c[1], c[2]
-    height, width = id_image.shape
-    # Most triangles of a robot fall between pixel centres, so this test comes first.
-    left = np.ceil(max(0.0, min(au, bu, cu)))
-    right = np.floor(min(width - 1.0, max(au, bu, cu)))
-    top = np.ceil(max(0.0, min(av, bv, cv)))
-    bottom = np.floor(min(height - 1.0, max(av, bv, cv)))
-    if left > right or top > bottom:
-        return
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw(corners, a, b, c, one_sided, geom, inverse_depth, id_image):
+    """Draws a triangle between rows a, b, c of (u, v, 1/z) corners; inverse depth is affine in the image."""
+    au, av, aw = corners[a, 0], corners[a, 1], corners[a, 2]
+    bu, bv, bw = corners[b, 0], corners[b, 1], corners[b, 2]
+    cu, cv, cw = corners[c, 0], corners[c, 1], corners[c, 2]
     area = (cu - au) * (bv - av) - (cv - av) * (bu - au)  # positive for a front: y points down
     if area == 0.0 or (area < 0.0 and one_sided):
         return
+    height, width = id_image.shape
+    left = np.ceil(max(0.0, min(au, bu, cu)))
+    right = np.floor(min(width - 1.0, max(au, bu, cu)))
+    if left > right:
+        return
+    top = np.ceil(max(0.0, min(av, bv, cv)))
+    bottom = np.floor(min(height - 1.0, max(av, bv, cv)))
     scale = 1.0 / area
     for y in range(int(top), int(bottom) + 1):
         for x in range(int(left), int(right) + 1):

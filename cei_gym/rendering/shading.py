@@ -14,7 +14,7 @@ _SHEEN = 0.12  # keeps the shape of black parts visible
 def geom_colours(model: mujoco.MjModel) -> np.ndarray:
     """(ngeom, 4) RGBA in [0, 1]: a geom's own colour, else its material's, times its texture's mean.
 
-    MuJoCo's rule: a geom with a material shows the material unless its own colour differs from the default grey.
+    MuJoCo's rule: a geom shows its material, if it has one, unless its own colour is not the default grey.
     """
     material_rgba = model.mat_rgba.copy()
     for material, texture in enumerate(model.mat_texid[:, mujoco.mjtTextureRole.mjTEXROLE_RGB]):
@@ -55,7 +55,7 @@ def shade(depth_m: np.ndarray, geom_id: np.ndarray, camera: Camera, rgba_per_geo
 
 
 def _slope(points: np.ndarray, geom_id: np.ndarray, axis: int) -> np.ndarray:
-    """(H, W, 3) step to the next or from the last pixel, whichever stays on the geom and changes depth less."""
+    """(H, W, 3) step from or to a neighbour: the one on the same geom, or of less change in depth."""
     step = np.diff(points, axis=axis)
     cost = np.abs(step[..., 2]) + 1e3 * (np.diff(geom_id, axis=axis) != 0)
     shape = list(geom_id.shape)

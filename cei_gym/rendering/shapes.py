@@ -1,7 +1,8 @@
 """Unit meshes of MuJoCo's primitive geoms, and the sizes that turn them into the real ones.
 
-A point of a geom, in its frame, is `scale * vertex + shift * (0, 0, cap)`: only capsules have a shift, because stretching
-a capsule must not squash its ends. Keeping shape and size apart lets an environment resize a geom between frames.
+A point of a geom, in its frame, is `scale * vertex + shift * (0, 0, cap)`: only capsules have a shift,
+because stretching one must not squash its ends. With shape and size apart, an environment may resize a geom
+between frames.
 """
 
 from functools import cache

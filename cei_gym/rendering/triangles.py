@@ -35,7 +35,7 @@ class Triangles:
 
 
 def visible_geoms(model: mujoco.MjModel, groups: Sequence[int] = (1,)) -> np.ndarray:
-    """(ngeom,) bool: geoms in these groups that are not fully transparent (robosuite: 0 collision, 1 visual)."""
+    """(ngeom,) bool: geoms in these groups (robosuite: 0 collision, 1 visual) that are not transparent."""
     return np.isin(model.geom_group, groups) & (geom_colours(model)[:, 3] > 0)
 
 

@@ -1,5 +1,6 @@
 """Command lines shared by all tools: draccus options, one-line errors, exit codes."""
 
+import contextlib
 import dataclasses
 import logging
 import signal
@@ -7,11 +8,9 @@ import sys
 import typing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NoReturn, TypeVar
+from typing import NoReturn
 
 from cei_gym.errors import CEIError, unknown
-
-Config = TypeVar("Config")
 
 EXIT_OK, EXIT_ERROR, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 
@@ -51,7 +50,7 @@ def _normalised(args: Sequence[str], options: dict[str, object]) -> list[str]:
     return normalised
 
 
-def parse(config_cls: type[Config], args: Sequence[str], prog: str, example: str) -> Config:
+def parse[Config](config_cls: type[Config], args: Sequence[str], prog: str, example: str) -> Config:
     """Options of a command line as a dataclass.
 
     Args:
@@ -100,7 +99,7 @@ def _stop(_signal: int, _frame: object) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def run(
+def run[Config](
     config_cls: type[Config],
     func: Callable[[Config], object],
     args: Sequence[str] | None = None,
@@ -114,11 +113,9 @@ def run(
     """
     logging.getLogger().setLevel(logging.ERROR)  # libraries' warnings would bury the one line that matters
     previous = None
-    try:
+    with contextlib.suppress(ValueError):  # not in the main thread
         # a terminated run must clean up its unfinished output as an interrupted one does
         previous = signal.signal(signal.SIGTERM, _stop)
-    except ValueError:  # not in the main thread
-        pass
     try:
         config = parse(config_cls, sys.argv[1:] if args is None else args, prog, example)
     except CEIError as error:

@@ -2,8 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
@@ -16,8 +14,6 @@ ENVIRONMENT_STATE = "observation.environment_state"
 DEPTH_PREFIX = "observation.depth."
 
 UNITS = ("rad", "m")
-MM_PER_M = 1000.0
-MAX_DEPTH_MM = np.iinfo(np.uint16).max
 
 
 def joint_feature_name(joint: str, unit: str) -> str:
@@ -59,7 +55,8 @@ def check_joint_names(names: Sequence[str], embodiment: Embodiment, where: str) 
     expected = joint_feature_names(embodiment)
     if len(names) != len(expected):
         raise CEIError(
-            f"{where} has {len(names)} joints but {embodiment.name} has {len(expected)}: {', '.join(expected)}."
+            f"{where} has {len(names)} joints but {embodiment.name} has {len(expected)}: "
+            f"{', '.join(expected)}."
         )
     for position, (name, right) in enumerate(zip(names, expected, strict=True)):
         if name != right:
@@ -103,18 +100,3 @@ def features(embodiment: Embodiment, demonstration: Demonstration) -> dict[str, 
         names = list(demonstration.environment_state_names)
         result[ENVIRONMENT_STATE] = {"dtype": "float32", "shape": (len(names),), "names": names}
     return result
-
-
-def depth_to_mm(depth_m: np.ndarray) -> np.ndarray:
-    """(..., H, W) float metres -> (..., H, W, 1) uint16 millimetres; 0 stays "unknown".
-
-    Raises:
-        CEIError: a depth is negative, not finite, or beyond 65.535 m.
-    """
-    depth_mm = np.rint(depth_m * MM_PER_M)
-    if not (np.isfinite(depth_mm).all() and depth_mm.min() >= 0 and depth_mm.max() <= MAX_DEPTH_MM):
-        raise CEIError(
-            f"depth must be finite and within [0, {MAX_DEPTH_MM / MM_PER_M}] m, 0 where unknown; "
-            f"got {np.min(depth_m)} to {np.max(depth_m)}."
-        )
-    return depth_mm.astype(np.uint16)[..., None]

@@ -11,6 +11,7 @@ import numpy as np
 
 from cei_converters import schema
 from cei_converters.card import write_card
+from cei_converters.columns import encode
 from cei_converters.metadata import Environment, Metadata, Provenance, check_scene, plain
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
@@ -79,11 +80,14 @@ class DatasetWriter:
             self._start(demonstration)
         else:
             self._check_matches_first(demonstration, where)
-        frames = _columns(demonstration)
+        from lerobot.datasets.io_utils import SuppressProgressBars
+
+        frames = encode(demonstration)
         for frame in range(len(demonstration)):
             values = {key: column[frame] for key, column in frames.items()}
             self._dataset.add_frame({**values, "task": demonstration.task})
-        self._dataset.save_episode()
+        with SuppressProgressBars():  # of embedding images, one an episode
+            self._dataset.save_episode()
         self._records.append(plain(record or {}))
 
     def _start(self, first: Demonstration) -> None:
@@ -112,7 +116,9 @@ class DatasetWriter:
             if ours != theirs:
                 raise CEIError(f"{where}: {what} is {theirs} but the dataset's is {ours}.")
         if not _same_scene(first.scene, other.scene):
-            raise CEIError(f"{where}: base, cameras or workspace differ from episode 0; use one dataset a scene.")
+            raise CEIError(
+                f"{where}: base, cameras or workspace differ from episode 0; use one dataset a scene."
+            )
         theirs = schema.features(load_embodiment(other.embodiment), other)
         for key in sorted(self._features.keys() | theirs.keys()):
             expected, got = (found.get(key, {}).get("shape") for found in (self._features, theirs))
@@ -153,21 +159,6 @@ class DatasetWriter:
         if self.root.exists():
             raise CEIError(f"{self.root} came into being meanwhile; choose another folder.")
         self._partial.rename(self.root)
-
-
-def _columns(demonstration: Demonstration) -> dict[str, np.ndarray]:
-    """Feature key to (T, ...) values in the stored type and unit."""
-    columns = {
-        schema.STATE: demonstration.qpos.astype(np.float32),
-        schema.ACTION: demonstration.action.astype(np.float32),
-    }
-    if demonstration.point_cloud_world is not None:
-        columns[schema.POINT_CLOUD] = demonstration.point_cloud_world.astype(np.float32)
-    for camera, depth_m in demonstration.depth_m.items():
-        columns[schema.depth_key(camera)] = schema.depth_to_mm(depth_m)
-    if demonstration.environment_state is not None:
-        columns[schema.ENVIRONMENT_STATE] = demonstration.environment_state.astype(np.float32)
-    return columns
 
 
 def _without_frames(demonstration: Demonstration) -> Demonstration:

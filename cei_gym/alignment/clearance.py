@@ -1,0 +1,67 @@
+"""How deep a configuration penetrates itself or the support surface, and how hard it is to hold, by MuJoCo."""
+
+import mujoco
+import numpy as np
+
+from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
+from cei_gym.embodiment.meshes import collision_geoms, link_mesh
+
+_HULL_VERTICES = 64
+
+
+class Clearance:
+    """Penetration and static torque of an embodiment over a flat support surface.
+
+    Contacts within the end-effector do not count: meshes of neighbouring finger links overlap by design.
+
+    Args:
+        embodiment: the embodiment.
+        support_z_base_m: height of the surface in the base frame.
+    """
+
+    def __init__(self, embodiment: Embodiment, support_z_base_m: float) -> None:
+        self._model, self._support_z = embodiment.model, support_z_base_m
+        names = embodiment.body_names
+        self._hand = np.array([n.startswith(END_EFFECTOR_PREFIX) for n in names])
+        self._hulls = []
+        for body in np.flatnonzero(self._hand):
+            mesh = link_mesh(self._model, collision_geoms(self._model, body))
+            if mesh is not None:
+                vertices = mesh.convex_hull.vertices
+                self._hulls.append((body, vertices[:: max(1, len(vertices) // _HULL_VERTICES)]))
+        driven = self._model.actuator_biasprm[:, 1] == 0
+        self._motor_joint = self._model.actuator_trnid[driven, 0]
+        self._motor_limit = self._model.actuator_ctrlrange[driven, 1]
+
+    def worst(self, qpos: np.ndarray) -> tuple[float, float]:
+        """Deepest penetration (m) and largest share of an arm motor's limit spent on gravity, over (T, n) qpos."""
+        data = mujoco.MjData(self._model)
+        depth, share = 0.0, 0.0
+        for q in qpos:
+            data.qpos[:] = q
+            mujoco.mj_fwdPosition(self._model, data)
+            depth = max(depth, self._self_depth(data), self._support_depth(data))
+            mujoco.mj_fwdVelocity(self._model, data)
+            if len(self._motor_joint):
+                share = max(
+                    share, float(np.max(np.abs(data.qfrc_bias[self._motor_joint]) / self._motor_limit))
+                )
+        return depth, share
+
+    def _self_depth(self, data: mujoco.MjData) -> float:
+        if data.ncon == 0:
+            return 0.0
+        hand = self._hand[self._model.geom_bodyid[data.contact.geom]]
+        depth = np.where(hand.all(axis=1), 0.0, -data.contact.dist)
+        return float(max(0.0, depth.max()))
+
+    def _support_depth(self, data: mujoco.MjData) -> float:
+        lowest = (
+            min(
+                float((vertices @ data.xmat[body].reshape(3, 3)[2]).min() + data.xpos[body, 2])
+                for body, vertices in self._hulls
+            )
+            if self._hulls
+            else np.inf
+        )
+        return max(0.0, self._support_z - lowest)

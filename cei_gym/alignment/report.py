@@ -1,0 +1,83 @@
+"""What an alignment achieved, frame by frame, so that an episode can be judged without a simulator."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cei_gym.alignment.problem import AlignmentProblem, Track
+from cei_gym.functional.distance import pair_cost
+
+_AT_LIMIT = 1e-6
+
+
+@dataclass(frozen=True)
+class AlignmentReport:
+    """Diagnostics of one aligned episode of T frames.
+
+    Attributes:
+        pad_distance_mm: (T,) mean distance between matched pairs.
+        normal_angle_deg: (T,) mean angle between the normals of matched pairs.
+        objective_m: (T,) DCD.
+        iterations: (T,) iterations that the solver spent.
+        limit_hits: (T,) independent joints that sit at a limit.
+        joint_step_rad: (T,) largest change of a joint since the frame before (0 at the first), rad or m.
+        unreachable_mm: pad distance above which a frame counts as out of the target's reach.
+    """
+
+    pad_distance_mm: np.ndarray
+    normal_angle_deg: np.ndarray
+    objective_m: np.ndarray
+    iterations: np.ndarray
+    limit_hits: np.ndarray
+    joint_step_rad: np.ndarray
+    unreachable_mm: float
+
+    @property
+    def unreachable_frames(self) -> list[int]:
+        """Frames at which the target's pads stay farther away than `unreachable_mm`."""
+        return np.flatnonzero(self.pad_distance_mm > self.unreachable_mm).tolist()
+
+    def summary(self) -> dict[str, float]:
+        """Scalars of the episode, for tables and metadata."""
+        return {
+            "pad_distance_mm_mean": float(self.pad_distance_mm.mean()),
+            "pad_distance_mm_max": float(self.pad_distance_mm.max()),
+            "normal_angle_deg_mean": float(self.normal_angle_deg.mean()),
+            "objective_m_mean": float(self.objective_m.mean()),
+            "iterations_mean": float(self.iterations.mean()),
+            "limit_hits_max": int(self.limit_hits.max()),
+            "joint_step_max_rad": float(self.joint_step_rad.max()),
+            "unreachable_frames": len(self.unreachable_frames),
+        }
+
+
+def make_report(
+    problem: AlignmentProblem,
+    points_base: np.ndarray,
+    normals_base: np.ndarray,
+    track: Track,
+    lambda_m: float,
+    unreachable_mm: float,
+) -> AlignmentReport:
+    """Diagnose a track against the (T, N, 3) source representation that it followed."""
+    distance, angle = np.empty(len(track.u)), np.empty(len(track.u))
+    placed = problem.place(track.u)
+    # Frame by frame: all pairs of all frames at once would grow with the episode.
+    for t, (p, n, q, m) in enumerate(zip(points_base, normals_base, *placed, strict=True)):
+        cost = pair_cost(p, n, q, m, lambda_m)
+        i, j = np.arange(cost.shape[0]), np.arange(cost.shape[1])
+        i, j = np.concatenate([i, cost.argmin(0)]), np.concatenate([cost.argmin(1), j])
+        distance[t] = 1e3 * np.linalg.norm(p[i] - q[j], axis=1).mean()
+        angle[t] = np.degrees(np.arccos(np.clip(np.sum(n[i] * m[j], axis=1), -1, 1))).mean()
+    lower, upper = problem.embodiment.independent_limits
+    at_limit = (track.u <= lower + _AT_LIMIT) | (track.u >= upper - _AT_LIMIT)
+    step = np.abs(np.diff(problem.embodiment.coupled.expand(track.u), axis=0, prepend=np.nan)).max(axis=1)
+    return AlignmentReport(
+        pad_distance_mm=distance,
+        normal_angle_deg=angle,
+        objective_m=track.objective,
+        iterations=track.iterations,
+        limit_hits=at_limit.sum(axis=1),
+        joint_step_rad=np.nan_to_num(step),
+        unreachable_mm=unreachable_mm,
+    )

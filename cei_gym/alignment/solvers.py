@@ -1,0 +1,22 @@
+"""Solvers by name."""
+
+from cei_gym.alignment.newton import NewtonSolver
+from cei_gym.alignment.problem import AlignmentProblem, Solver, SolverOptions
+from cei_gym.errors import unknown
+
+BACKENDS = ("newton", "paper")
+
+
+def make_solver(problem: AlignmentProblem, options: SolverOptions) -> Solver:
+    """The solver that `options.backend` names.
+
+    Raises:
+        CEIError: no such backend (the message lists the valid ones).
+    """
+    if options.backend == "newton":
+        return NewtonSolver(problem, options)
+    if options.backend == "paper":
+        from cei_gym.alignment.paper import PaperSolver  # torch takes seconds to import
+
+        return PaperSolver(problem, options)
+    raise unknown("solver backend", options.backend, BACKENDS)

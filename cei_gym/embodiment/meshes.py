@@ -1,0 +1,66 @@
+"""Surfaces of an embodiment's links as trimesh, in the link's frame, metres."""
+
+from collections.abc import Iterable
+
+import mujoco
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from cei_gym.errors import CEIError
+
+
+def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+    """Closed surface of one geom in the frame of its body.
+
+    Raises:
+        CEIError: a kind of geom with no surface of its own (plane, height field, signed distance field).
+    """
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    shapes = mujoco.mjtGeom
+    if kind == shapes.mjGEOM_MESH:
+        mesh = _compiled_mesh(model, model.geom_dataid[geom])
+    elif kind == shapes.mjGEOM_BOX:
+        mesh = trimesh.creation.box(extents=2 * size)
+    elif kind == shapes.mjGEOM_SPHERE:
+        mesh = trimesh.creation.icosphere(subdivisions=4, radius=size[0])
+    elif kind == shapes.mjGEOM_ELLIPSOID:
+        mesh = trimesh.creation.icosphere(subdivisions=4).apply_scale(size)
+    elif kind == shapes.mjGEOM_CYLINDER:
+        mesh = trimesh.creation.cylinder(radius=size[0], height=2 * size[1])
+    elif kind == shapes.mjGEOM_CAPSULE:
+        mesh = trimesh.creation.capsule(radius=size[0], height=2 * size[1])
+    else:
+        raise CEIError(f"geom {model.geom(geom).name!r} has no surface to sample (type {kind}).")
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(model.geom_quat[geom], scalar_first=True).as_matrix()
+    T[:3, 3] = model.geom_pos[geom]
+    return mesh.apply_transform(T)
+
+
+def link_mesh(model: mujoco.MjModel, geoms: Iterable[int]) -> trimesh.Trimesh | None:
+    """Several geoms of one body as one surface in the body's frame; None if there are none."""
+    meshes = [geom_mesh(model, g) for g in geoms]
+    return trimesh.util.concatenate(meshes) if meshes else None
+
+
+def visual_link_meshes(model: mujoco.MjModel) -> list[trimesh.Trimesh | None]:
+    """What a camera sees of each of the L bodies: its visual geoms, or its collision geoms where it has none."""
+    seen = []
+    for body in range(model.nbody):
+        geoms = np.flatnonzero(model.geom_bodyid == body)
+        visual = geoms[(model.geom_contype[geoms] == 0) & (model.geom_conaffinity[geoms] == 0)]
+        seen.append(link_mesh(model, visual if len(visual) else geoms))
+    return seen
+
+
+def collision_geoms(model: mujoco.MjModel, body: int) -> np.ndarray:
+    """Indices of a body's geoms that can touch something."""
+    geoms = np.flatnonzero(model.geom_bodyid == body)
+    return geoms[(model.geom_contype[geoms] != 0) | (model.geom_conaffinity[geoms] != 0)]
+
+
+def _compiled_mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
+    vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
+    faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
+    return trimesh.Trimesh(model.mesh_vert[vertices].astype(float), model.mesh_face[faces], process=True)

@@ -1,0 +1,47 @@
+"""The Directional Chamfer Distance, equation (1) of the paper."""
+
+import numpy as np
+
+DEFAULT_DIRECTION_WEIGHT_M = 0.05
+"""Lambda in metres: what a cosine of 1 is worth in distance. The paper's 0.5 (points in metres) lets a hand's pads stay
+18 mm off to turn its normals a little further; 0.05 does not (measured, see README)."""
+
+
+def directional_chamfer_distance(
+    points: np.ndarray,
+    normals: np.ndarray,
+    points_other: np.ndarray,
+    normals_other: np.ndarray,
+    lambda_m: float,
+):
+    """DCD between two functional representations in one frame; lower is more similar.
+
+    Each pair is matched to the one of the other set that minimises distance minus lambda times the normals' cosine:
+    identical sets give -2 lambda, sets with opposite normals at the same points +2 lambda.
+
+    Args:
+        points, normals: (..., N, 3) m and unit.
+        points_other, normals_other: (..., M, 3) m and unit.
+        lambda_m: weight of direction, metres.
+
+    Returns:
+        (...) distance, metres. NumPy arrays in give NumPy out; torch tensors give a differentiable tensor.
+    """
+    cost = pair_cost(points, normals, points_other, normals_other, lambda_m)
+    if isinstance(cost, np.ndarray):
+        return cost.min(-1).mean(-1) + cost.min(-2).mean(-1)
+    return cost.amin(-1).mean(-1) + cost.amin(-2).mean(-1)
+
+
+def pair_cost(points, normals, points_other, normals_other, lambda_m: float):
+    """(..., N, M) cost of matching each pair of one set to each of the other, metres."""
+    difference = points[..., :, None, :] - points_other[..., None, :, :]
+    # torch's own norm has a zero (not infinite) gradient where two points coincide
+    norm = np.linalg.norm if isinstance(difference, np.ndarray) else _torch_norm
+    distance = norm(difference, axis=-1)
+    cosine = (normals[..., :, None, :] * normals_other[..., None, :, :]).sum(-1)
+    return distance - lambda_m * cosine
+
+
+def _torch_norm(x, axis: int):
+    return x.norm(dim=axis)

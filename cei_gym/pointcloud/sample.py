@@ -1,0 +1,53 @@
+"""Points on the robot's surface (paper, section IV-C: "sampling points across the robot's mesh")."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+
+from cei_gym.errors import CEIError
+
+
+class SurfaceSampler:
+    """Points drawn once, uniformly over the area of all links, that then move with their links.
+
+    Drawing once keeps the cloud steady from frame to frame, and costs nothing a frame.
+
+    Attributes:
+        link_ids: (n,) int64, the link of each point.
+        points_link: (n, 3) float64, the points in the frames of their links, metres.
+    """
+
+    def __init__(self, link_meshes: Sequence[trimesh.Trimesh | None], n_points: int, seed: int = 0) -> None:
+        """
+        Args:
+            link_meshes: L meshes in link frames, metres; None for a link without a surface.
+            n_points: how many points.
+            seed: of the draw.
+
+        Raises:
+            CEIError: no link has a surface.
+        """
+        meshes = {link: mesh for link, mesh in enumerate(link_meshes) if mesh is not None and mesh.area > 0}
+        if not meshes:
+            raise CEIError("no link of the robot has a mesh to sample points on.")
+        self._links = len(link_meshes)
+        whole = trimesh.util.concatenate(
+            [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False) for mesh in meshes.values()]
+        )
+        points_link, face = trimesh.sample.sample_surface(whole, n_points, seed=seed)[:2]
+        link_of_face = np.repeat(list(meshes), [len(mesh.faces) for mesh in meshes.values()])
+        self.points_link = np.asarray(points_link, dtype=np.float64)
+        self.link_ids = link_of_face[face]
+
+    def __call__(self, T_world_links: np.ndarray) -> np.ndarray:
+        """(n, 3) float64 points in the world, metres, for poses (L, 4, 4) of the links.
+
+        Raises:
+            CEIError: there is not one pose for each link.
+        """
+        T_world_links = np.asarray(T_world_links, dtype=np.float64)
+        if T_world_links.shape != (self._links, 4, 4):
+            raise CEIError(f"the sampler has {self._links} links, but poses of shape {T_world_links.shape}.")
+        T = T_world_links[self.link_ids]
+        return np.einsum("nij,nj->ni", T[:, :3, :3], self.points_link) + T[:, :3, 3]

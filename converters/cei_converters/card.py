@@ -1,0 +1,171 @@
+"""The dataset card: README.md of a recorded or converted dataset."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cei_converters.metadata import METADATA_PATH, Metadata, Source
+
+CARD_PATH = "README.md"
+CITATION = """@article{wu2026cei,
+  title   = {{CEI}: A Unified Interface for Cross-Embodiment Visuomotor Policy Learning in {3D} Space},
+  author  = {Wu, Tong and Li, Shoujie and Gong, Junhao and Guo, Changqing and Li, Xingting and Mu, Shilong
+             and Ding, Wenbo},
+  year    = {2026}
+}"""
+
+
+def source_license(root: Path) -> str | None:
+    """License that a dataset's own card names, if any."""
+    from huggingface_hub import DatasetCard
+
+    path = root / CARD_PATH
+    if not path.is_file():
+        return None
+    try:
+        return DatasetCard.load(path, ignore_metadata_errors=True).data.license
+    except ValueError:  # a broken card is the source's affair
+        return None
+
+
+def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
+    """Write README.md into a finished dataset."""
+    from huggingface_hub import DatasetCard, DatasetCardData
+
+    info = json.loads((root / "meta/info.json").read_text())
+    source = metadata.provenance.source
+    data = DatasetCardData(
+        license=source.license if source else None,
+        tags=["LeRobot", "cei-gym", "cross-embodiment", metadata.embodiment],
+        task_categories=["robotics"],
+        source_datasets=[source.repo_id] if source else None,
+        configs=[{"config_name": "default", "data_files": "data/*/*.parquet"}],
+    )
+    sections = [
+        _introduction(repo_id, metadata, info),
+        _quality(metadata),
+        _layout(metadata, info),
+        _usage(repo_id, metadata),
+        _provenance(metadata),
+        f"## Citation\n\nThe method is that of\n\n```bibtex\n{CITATION}\n```",
+    ]
+    body = "\n\n".join(section for section in sections if section)
+    DatasetCard(f"---\n{data.to_yaml()}\n---\n\n{body}\n").save(root / CARD_PATH)
+
+
+def _introduction(repo_id: str, metadata: Metadata, info: dict) -> str:
+    source = metadata.provenance.source
+    size = f"{info['total_episodes']} episodes, {info['total_frames']} frames at {info['fps']} Hz"
+    if source is None:
+        origin = f"Demonstrations of **{metadata.embodiment}**, recorded in simulation with CEI-Gym: {size}."
+    else:
+        origin = (
+            f"Demonstrations of **{metadata.embodiment}**, converted from **{source.embodiment}** "
+            f"(`{source.repo_id}`) with CEI-Gym: {size}. No {metadata.embodiment} was operated: the joint "
+            "trajectories are those that bring its functional pads where the source robot's were, found by "
+            "minimising the Directional Chamfer Distance, and the point clouds show it in the source's place."
+        )
+    title = f"# {repo_id}\n\n{origin} It is a [LeRobot](https://github.com/huggingface/lerobot) v3.0 dataset."
+    environment = metadata.environment
+    return title + (f"\n\nEnvironment: `{environment.id}`." if environment.id else "")
+
+
+def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
+    lines = [header, tuple("---" for _ in header), *rows]
+    return "\n".join(
+        "| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines
+    )
+
+
+def _quality(metadata: Metadata) -> str:
+    reports = [record["alignment"] for record in metadata.episodes if "alignment" in record]
+    keys = dict.fromkeys(key for report in reports for key in report)
+    rows = []
+    for key in keys:
+        values = [
+            v
+            for report in reports
+            if isinstance(v := report.get(key), (int, float)) and not isinstance(v, bool)
+        ]
+        if values:
+            rows.append((f"`{key}`", *(f"{f(values):.4g}" for f in (np.mean, np.min, np.max))))
+    if not rows:
+        return ""
+    text = "## Quality of the alignment\n\nOver the episodes; per episode in "
+    return text + f"`{METADATA_PATH}`.\n\n" + _table(("per episode", "mean", "least", "largest"), rows)
+
+
+def _layout(metadata: Metadata, info: dict) -> str:
+    features = [
+        (
+            f"`{key}`",
+            feature["dtype"],
+            "x".join(map(str, feature["shape"])),
+            ", ".join(map(str, feature["names"])),
+        )
+        for key, feature in info["features"].items()
+        if feature.get("names")
+    ]
+    cameras = [
+        (camera.name, f"{camera.width}x{camera.height}", np.round(np.diag(camera.K)[:2], 2).tolist())
+        for camera in metadata.scene.cameras
+    ]
+    parts = ["## Layout, frames, units", _table(("feature", "type", "shape", "entries"), features)]
+    parts.append("\n".join(f"- {name}: {text}" for name, text in metadata.conventions.items()))
+    if cameras:
+        parts.append(_table(("camera", "pixels", "focal length (px)"), cameras))
+    parts.append(f"Poses, intrinsics and workspace are in `{METADATA_PATH}`.")
+    return "\n\n".join(parts)
+
+
+def _usage(repo_id: str, metadata: Metadata) -> str:
+    replay = f"\n\n```bash\ncei-replay --dataset.repo_id={repo_id}\n```" if metadata.environment.id else ""
+    return f"""## Use
+
+```python
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+dataset = LeRobotDataset("{repo_id}")
+```
+
+```bash
+lerobot-train --dataset.repo_id={repo_id} --policy.type=<policy> --output_dir=outputs/train
+```{replay}"""
+
+
+def _provenance(metadata: Metadata) -> str:
+    provenance = metadata.provenance
+    parts = ["## How it was made"]
+    if provenance.command:
+        parts.append(f"```bash\n{provenance.command}\n```")
+    rows: list[tuple[Any, ...]] = [("date", provenance.date)] if provenance.date else []
+    if provenance.git_commit:
+        rows.append(("commit of CEI-Gym", provenance.git_commit))
+    rows += _source_rows(provenance.source)
+    rows += [(f"version of {name}", value) for name, value in provenance.versions.items()]
+    rows += [(f"`--{name}`", f"`{value}`") for name, value in _flat(provenance.options)]
+    parts.append(_table(("", ""), rows))
+    return "\n\n".join(parts)
+
+
+def _source_rows(source: Source | None) -> list[tuple[Any, ...]]:
+    if source is None:
+        return []
+    rows = [
+        ("source", source.repo_id),
+        ("source revision", source.revision),
+        ("source files", source.fingerprint),
+    ]
+    return [(name, f"`{value}`") for name, value in rows if value]
+
+
+def _flat(options: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    flat: list[tuple[str, Any]] = []
+    for name, value in options.items():
+        if isinstance(value, dict):
+            flat += _flat(value, f"{prefix}{name}.")
+        else:
+            flat.append((prefix + name, value))
+    return flat

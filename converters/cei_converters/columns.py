@@ -1,0 +1,85 @@
+"""Values of features as they are stored: depth in whole millimetres, everything else in float32."""
+
+import io
+from typing import Any
+
+import numpy as np
+
+from cei_converters import schema
+from cei_converters.text import one_line
+from cei_gym.demonstration import Demonstration
+from cei_gym.errors import CEIError
+
+MM_PER_M = 1000.0
+MAX_DEPTH_MM = np.iinfo(np.uint16).max
+
+
+def encode(demonstration: Demonstration) -> dict[str, np.ndarray]:
+    """Feature key to (T, ...) values in the stored type and unit."""
+    columns = {
+        schema.STATE: demonstration.qpos.astype(np.float32),
+        schema.ACTION: demonstration.action.astype(np.float32),
+    }
+    if demonstration.point_cloud_world is not None:
+        columns[schema.POINT_CLOUD] = demonstration.point_cloud_world.astype(np.float32)
+    for camera, depth_m in demonstration.depth_m.items():
+        columns[schema.depth_key(camera)] = _depth_to_mm(depth_m)
+    if demonstration.environment_state is not None:
+        columns[schema.ENVIRONMENT_STATE] = demonstration.environment_state.astype(np.float32)
+    return columns
+
+
+def _depth_to_mm(depth_m: np.ndarray) -> np.ndarray:
+    """(..., H, W) float metres -> (..., H, W, 1) uint16 millimetres; 0 stays "unknown".
+
+    Raises:
+        CEIError: a depth is negative, not finite, or beyond 65.535 m.
+    """
+    depth_mm = np.rint(depth_m * MM_PER_M)
+    if not (np.isfinite(depth_mm).all() and depth_mm.min() >= 0 and depth_mm.max() <= MAX_DEPTH_MM):
+        raise CEIError(
+            f"depth must be finite and within [0, {MAX_DEPTH_MM / MM_PER_M}] m, 0 where unknown; "
+            f"got {np.min(depth_m)} to {np.max(depth_m)}."
+        )
+    return depth_mm.astype(np.uint16)[..., None]
+
+
+def decode_array(column: Any, feature: dict, where: str) -> np.ndarray:
+    """A list column as an array (T, *shape).
+
+    Raises:
+        CEIError: the column's rows are not of the feature's shape.
+    """
+    array = column.combine_chunks()
+    array = getattr(array, "storage", array)  # datasets keeps 2-D features in an extension type
+    while hasattr(array, "flatten") and array.type.num_fields == 1:
+        array = array.flatten()
+    try:
+        return array.to_numpy(zero_copy_only=False).reshape(len(column), *feature["shape"])
+    except ValueError as error:
+        raise CEIError(f"{where}: a row is not of shape {tuple(feature['shape'])}.") from error
+
+
+def decode_depth_m(column: Any, feature: dict, where: str) -> np.ndarray:
+    """A column of depth images as (T, H, W) float32 metres.
+
+    Raises:
+        CEIError: a cell is no depth image of the feature's size.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    height, width, _ = feature["shape"]
+    unit = (feature.get("info") or {}).get("depth_unit")
+    depth_m = np.empty((len(column), height, width), np.float32)
+    for frame, cell in enumerate(column):
+        try:
+            depth = np.asarray(Image.open(io.BytesIO(cell["bytes"].as_py())))
+            depth_m[frame] = depth
+        except (UnidentifiedImageError, TypeError, ValueError, OSError) as error:
+            raise CEIError(
+                f"{where}: frame {frame} is no {width}x{height} depth image ({one_line(error)})."
+            ) from error
+        unit = unit or ("mm" if depth.dtype.kind == "u" else "m")  # LeRobot's rule
+    if unit == "mm":
+        depth_m /= MM_PER_M
+    return depth_m

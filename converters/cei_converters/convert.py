@@ -1,0 +1,234 @@
+"""`cei-convert`: one robot's LeRobot dataset becomes another's."""
+
+import contextlib
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cei_converters.cli import DatasetConfig, run
+from cei_converters.options import parse_episodes, parse_pose
+from cei_converters.quality import check_reached, print_table
+from cei_gym.errors import CEIError, unknown
+from cei_gym.transfer import TransferOptions
+
+if TYPE_CHECKING:
+    from cei_converters.metadata import Environment
+    from cei_converters.reader import DatasetReader
+    from cei_converters.writer import DatasetWriter
+
+EXAMPLE = """example:
+  cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa
+  cei-convert --dataset.repo_id=me/pick_panda --dataset.root=data/pick_panda --target=IIWA-Inspire \\
+      --episodes=0,3,5 --dry_run"""
+# the frame-0 basin is chosen on this many episodes: more take memory and change little
+FIT_EPISODES = 3
+
+
+@dataclass
+class ConvertConfig:
+    """Convert a LeRobot dataset of one robot into the same demonstrations by another."""
+
+    dataset: DatasetConfig
+    target: str  # Embodiment to convert to, <Arm>-<EndEffector>.
+    new_repo_id: str | None = None  # Name of the converted dataset, <user>/<name>.
+    new_root: str | None = None  # Its folder, which must not exist; default: LeRobot's cache.
+    source: str | None = None  # Embodiment of a dataset that does not say it (no meta/cei.json).
+    source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
+    episodes: str | None = None  # Episodes to convert, such as 0,3,5; default: all.
+    dry_run: bool = False  # Align and report, write no dataset.
+    allow_unreachable: bool = False  # Keep episodes in which the target cannot reach every frame.
+    push_to_hub: bool = False  # Upload the converted dataset.
+    private: bool = False  # Make the uploaded dataset private.
+    json: str | None = None  # File for the result as JSON.
+    transfer: TransferOptions = field(default_factory=TransferOptions)
+
+
+def convert(config: ConvertConfig) -> dict[str, Any]:
+    """Convert a dataset; print a table of the quality of each episode.
+
+    Returns:
+        The result: source, target, and under `results` one entry an episode.
+
+    Raises:
+        CEIError: bad options or data, or an episode that the target cannot reach.
+    """
+    selection = parse_episodes(config.episodes)
+    T_world_base = parse_pose(config.source_pose)
+    _check_options(config)
+
+    from cei_converters.provenance import fingerprint
+    from cei_converters.reader import DatasetReader
+    from cei_gym.embodiment import load_embodiment
+    from cei_gym.transfer import Transfer
+
+    reader = DatasetReader(
+        config.dataset.repo_id, config.dataset.root, embodiment=config.source, T_world_base=T_world_base
+    )
+    selected = reader.select(selection)
+    with contextlib.ExitStack() as stack:
+        writer = None
+        if not config.dry_run:
+            writer = stack.enter_context(_writer(config, reader, fingerprint(reader.root)))
+        transfer = Transfer(reader.embodiment, load_embodiment(config.target), config.transfer)
+        entries = _transfer_episodes(config, reader, selected, transfer, writer)
+        print_table(entries, f"{reader.embodiment.name} -> {config.target}")
+        result = {
+            "source": {"repo_id": reader.repo_id, "embodiment": reader.embodiment.name},
+            "target": config.target,
+            "repo_id": None if config.dry_run else config.new_repo_id,
+            "root": str(writer.root) if writer is not None else None,
+            "dry_run": config.dry_run,
+            "ignored_features": reader.ignored_features,
+            "episodes": len(entries),
+            "frames": sum(entry["frames"] for entry in entries),
+            "results": entries,
+        }
+        if config.dry_run:
+            _write_json(config.json, result)
+            if not config.allow_unreachable:
+                check_reached(config.target, entries)
+    if writer is not None:
+        _write_json(config.json, result)
+        print(f"Wrote {len(entries)} episodes to {writer.root}.")
+        if config.push_to_hub:
+            from cei_converters.hub import push
+
+            push(writer.root, writer.repo_id, private=config.private)
+    return result
+
+
+def _check_options(config: ConvertConfig) -> None:
+    """Fail before any work is done, not after it."""
+    from cei_gym.embodiment import embodiment_names
+
+    for name in (config.target, config.source):
+        if name is not None and name not in embodiment_names():
+            raise unknown("embodiment", name, embodiment_names())
+    if config.dry_run and config.push_to_hub:
+        raise CEIError("--dry_run writes nothing, so there is nothing for --push_to_hub; leave one out.")
+    if not config.dry_run:
+        from cei_converters.hub import check_repo_id
+
+        if config.new_repo_id is None:
+            raise CEIError("--new_repo_id=<user>/<name> is required, or --dry_run.")
+        check_repo_id(config.new_repo_id)
+    if config.push_to_hub:
+        from cei_converters.hub import check_login
+
+        check_login()
+    if config.json is not None and not Path(config.json).absolute().parent.is_dir():
+        raise CEIError(f"--json={config.json}: there is no folder {Path(config.json).parent}.")
+
+
+def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: str) -> "DatasetWriter":
+    from cei_converters.card import source_license
+    from cei_converters.metadata import Source
+    from cei_converters.provenance import collect
+    from cei_converters.writer import DatasetWriter
+
+    assert config.new_repo_id is not None
+    source = Source(
+        repo_id=reader.repo_id,
+        embodiment=reader.embodiment.name,
+        root_name=reader.root.name if config.dataset.root else None,
+        revision=_revision(reader.root) if config.dataset.root is None else None,
+        fingerprint=source_fingerprint,
+        license=source_license(reader.root),
+    )
+    options = {
+        "target": config.target,
+        "episodes": config.episodes,
+        "allow_unreachable": config.allow_unreachable,
+        "transfer": config.transfer,
+    }
+    return DatasetWriter(
+        config.new_repo_id,
+        config.new_root,
+        environment=_environment(reader, config.target),
+        provenance=collect(options, source=source),
+    )
+
+
+def _revision(root: Path) -> str | None:
+    """Commit of a dataset in the hub's cache, where folders are named by it."""
+    return root.name if root.parent.name == "snapshots" else None
+
+
+def _environment(reader: "DatasetReader", target: str) -> "Environment":
+    """The source's environment with the robot exchanged."""
+    from cei_converters.metadata import Environment
+
+    known = reader.metadata.environment if reader.metadata is not None else Environment()
+    source = reader.embodiment.name
+    if known.id is None or not known.id.endswith(source):
+        return Environment()
+    return Environment(known.id.removesuffix(source) + target, known.kwargs)
+
+
+def _transfer_episodes(
+    config: ConvertConfig,
+    reader: "DatasetReader",
+    selected: list[int],
+    transfer: Any,
+    writer: "DatasetWriter | None",
+) -> list[dict[str, Any]]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("frames"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    entries = []
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
+        transfer.fit([reader.read(index) for index in selected[:FIT_EPISODES]])
+        for index in selected:
+            progress.update(task, description=f"episode {index}")
+            demonstration, report = transfer(reader.read(index))
+            summary = report.summary()
+            entry = {"episode": index, "frames": len(demonstration), **summary}
+            entries.append(entry)
+            if writer is not None:
+                if not config.allow_unreachable:
+                    check_reached(config.target, [entry])
+                writer.add(
+                    demonstration, {**reader.record(index), "source_episode": index, "alignment": summary}
+                )
+            progress.advance(task, len(demonstration))
+    return entries
+
+
+def _write_json(path: str | None, result: dict[str, Any]) -> None:
+    from cei_converters.metadata import plain
+
+    if path is None:
+        return
+    target = Path(path)
+    partial = target.with_name(f".{target.name}.partial-{os.getpid()}")
+    partial.write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
+    partial.replace(target)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `cei-convert`."""
+    return run(ConvertConfig, convert, args, prog="cei-convert", example=EXAMPLE)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,72 @@
+"""Open what describes a dataset: LeRobot's metadata, ours, and the embodiment that they name."""
+
+from pathlib import Path
+from typing import Any
+
+from cei_converters.metadata import METADATA_PATH, REQUIRED, Metadata
+from cei_converters.text import one_line
+from cei_gym.embodiment import Embodiment, embodiment_names, load_embodiment
+from cei_gym.errors import CEIError, unknown
+
+
+def load_metadata(root: Path, embodiment: str | None) -> Metadata | None:
+    """`meta/cei.json`; None if it is missing and an embodiment is given instead.
+
+    Raises:
+        CEIError: it is wrong, or missing and not replaced.
+    """
+    if (root / METADATA_PATH).is_file():
+        return Metadata.load(root)
+    if embodiment is None:
+        raise CEIError(
+            f"{root} has no {METADATA_PATH}; it needs {REQUIRED}. "
+            f"Without cameras, name the robot with --source=<one of {', '.join(embodiment_names())}>."
+        )
+    return None
+
+
+def choose_embodiment(root: Path, metadata: Metadata | None, given: str | None) -> Embodiment:
+    """The embodiment that the metadata names, or the given one.
+
+    Raises:
+        CEIError: it is unknown, or the two differ.
+    """
+    for name in (given, metadata.embodiment if metadata is not None else None):
+        if name is not None and name not in embodiment_names():
+            raise unknown("embodiment", name, embodiment_names())
+    if metadata is not None and given is not None and given != metadata.embodiment:
+        raise CEIError(f"{root} is a dataset of {metadata.embodiment}, not of {given}; leave --source out.")
+    name = metadata.embodiment if metadata is not None else given
+    assert name is not None
+    return load_embodiment(name)
+
+
+def load_lerobot_metadata(repo_id: str, root: Path) -> Any:
+    """LeRobot's own metadata, a `LeRobotDatasetMetadata`.
+
+    Raises:
+        CEIError: a file is missing or damaged, or there are no episodes.
+    """
+    import pyarrow.parquet as pq
+    from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+
+    # LeRobot would fetch what is missing from the hub and mix it in
+    for path in ("meta/episodes", "meta/tasks.parquet", "data"):
+        if not (root / path).exists():
+            raise CEIError(f"{root} is no complete v3.0 dataset: {path} is missing.")
+    for path in sorted((root / "meta").rglob("*.parquet")):
+        try:
+            pq.read_metadata(path)
+        except (OSError, ValueError) as error:
+            raise CEIError(
+                f"{path} cannot be read ({one_line(error)}); download or record the dataset again."
+            ) from error
+    try:
+        meta = LeRobotDatasetMetadata(repo_id, root)
+    except Exception as error:  # datasets and pyarrow raise many kinds on a damaged file
+        raise CEIError(
+            f"{root}/meta cannot be read ({one_line(error)}); download or record the dataset again."
+        ) from error
+    if meta.total_episodes == 0:
+        raise CEIError(f"{root} has no episodes.")
+    return meta

@@ -1,0 +1,42 @@
+"""Values of command-line options that draccus has no type for."""
+
+import numpy as np
+
+from cei_gym.errors import CEIError
+
+
+def parse_episodes(text: str | None) -> list[int] | None:
+    """`0,3,5` or `[0, 3]` -> indices; None stays None.
+
+    Raises:
+        CEIError: it is no list of indices.
+    """
+    if text is None:
+        return None
+    try:
+        return [int(part) for part in text.strip().removeprefix("[").removesuffix("]").split(",")]
+    except ValueError as error:
+        raise CEIError(
+            f"--episodes={text} is no list of episode indices; it should read like 0,3,5."
+        ) from error
+
+
+def parse_pose(text: str | None) -> np.ndarray | None:
+    """`x,y,z` or `x,y,z,qw,qx,qy,qz` -> (4, 4) transform, metres; None stays None.
+
+    Raises:
+        CEIError: it is no pose.
+    """
+    if text is None:
+        return None
+    from scipy.spatial.transform import Rotation
+
+    T = np.eye(4)
+    try:
+        x, y, z, *quaternion_wxyz = (float(part) for part in text.strip().strip("[]").split(","))
+        T[:3, 3] = x, y, z
+        if quaternion_wxyz:
+            T[:3, :3] = Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix()
+    except ValueError as error:
+        raise CEIError(f"--source_pose={text} should read x,y,z or x,y,z,qw,qx,qy,qz (metres).") from error
+    return T

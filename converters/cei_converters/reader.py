@@ -1,0 +1,200 @@
+"""Read a LeRobot v3.0 dataset as demonstrations, one episode at a time."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cei_converters import schema
+from cei_converters.columns import decode_array, decode_depth_m
+from cei_converters.locate import locate
+from cei_converters.metadata import METADATA_PATH
+from cei_converters.opening import choose_embodiment, load_lerobot_metadata, load_metadata
+from cei_converters.text import one_line
+from cei_gym.demonstration import Demonstration, Scene
+from cei_gym.errors import CEIError
+
+# how far outside its range a joint may be read before its unit must be wrong
+UNIT_SLACK = {"rad": np.pi, "m": 0.5}
+WRONG_UNIT = {"rad": "degrees; convert to rad", "m": "millimetres or percent; convert to m"}
+# stands in for the workspace of a dataset that does not say: about any arm's reach
+DEFAULT_WORKSPACE_M = np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
+
+
+class DatasetReader:
+    """A checked dataset of one embodiment.
+
+    Memory holds one episode at a time.
+
+    Args:
+        repo_id: name of the dataset.
+        root: its folder; default: LeRobot's cache, else the hub.
+        embodiment: catalogue name; needed only where the dataset has no `meta/cei.json`.
+        T_world_base: (4, 4) base pose for such a dataset; default: identity.
+
+    Attributes:
+        root, repo_id, embodiment, scene: of the dataset.
+        metadata: contents of `meta/cei.json`, or None.
+        ignored_features: keys that `Demonstration` has no field for, such as RGB cameras.
+
+    Raises:
+        CEIError: whatever is wrong with the dataset, in one line.
+    """
+
+    def __init__(
+        self,
+        repo_id: str,
+        root: str | Path | None = None,
+        *,
+        embodiment: str | None = None,
+        T_world_base: np.ndarray | None = None,
+    ) -> None:
+        self.repo_id = repo_id
+        self.root = locate(repo_id, root)
+        self.metadata = load_metadata(self.root, embodiment)
+        self.embodiment = choose_embodiment(self.root, self.metadata, embodiment)
+        if self.metadata is not None:
+            self.scene = self.metadata.scene
+        else:
+            T_world_base = np.eye(4) if T_world_base is None else T_world_base
+            workspace_world = DEFAULT_WORKSPACE_M + T_world_base[:3, 3]
+            self.scene = Scene(T_world_base=T_world_base, cameras=(), workspace_world=workspace_world)
+        self._meta = load_lerobot_metadata(repo_id, self.root)
+        self._check_features()
+
+    def _check_features(self) -> None:
+        features = self._meta.features
+        for key in (schema.STATE, schema.ACTION):
+            if key not in features:
+                raise CEIError(f"{self.root.name} has no feature {key!r}. It has: {', '.join(features)}.")
+            schema.check_joint_names(schema.feature_names(features[key]), self.embodiment, key)
+            if tuple(features[key]["shape"]) != (len(self.embodiment.joint_names),):
+                raise CEIError(
+                    f"{key} has shape {features[key]['shape']} but {len(self.embodiment.joint_names)} names."
+                )
+        cameras = {camera.name for camera in self.scene.cameras}
+        self._depth_keys = [key for key in features if key.startswith(schema.DEPTH_PREFIX)]
+        for key in self._depth_keys:
+            if key.removeprefix(schema.DEPTH_PREFIX) not in cameras:
+                raise CEIError(
+                    f"{key} has no calibration: {METADATA_PATH} lists {', '.join(cameras) or 'no camera'}."
+                )
+            if features[key]["dtype"] != "image":
+                raise CEIError(
+                    f"{key} is stored as {features[key]['dtype']}; depth should be lossless (dtype image)."
+                )
+        used = {schema.STATE, schema.ACTION, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._depth_keys}
+        own = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
+        self.ignored_features = [key for key in features if key not in used | own]
+
+    @property
+    def fps(self) -> float:
+        """Frames a second."""
+        return float(self._meta.fps)
+
+    def __len__(self) -> int:
+        return int(self._meta.total_episodes)
+
+    def __iter__(self) -> Iterator[Demonstration]:
+        return (self.read(index) for index in range(len(self)))
+
+    def frames(self, index: int) -> int:
+        """Frames of an episode, without reading it."""
+        return int(self._meta.episodes[index]["length"])
+
+    def record(self, index: int) -> dict[str, Any]:
+        """What `meta/cei.json` keeps of an episode (seed, ...)."""
+        records = self.metadata.episodes if self.metadata is not None else ()
+        return dict(records[index]) if index < len(records) else {}
+
+    def select(self, episodes: Sequence[int] | None) -> list[int]:
+        """Checked episode indices; None selects all.
+
+        Raises:
+            CEIError: the selection is empty, repeats an index, or has one that the dataset lacks.
+        """
+        if episodes is None:
+            return list(range(len(self)))
+        if not episodes:
+            raise CEIError("the selection of episodes is empty.")
+        for index in episodes:
+            if not 0 <= index < len(self):
+                raise CEIError(f"{self.repo_id} has no episode {index}. Valid: 0 to {len(self) - 1}.")
+        if len(set(episodes)) != len(episodes):
+            raise CEIError(f"the selection of episodes repeats one: {', '.join(map(str, episodes))}.")
+        return list(episodes)
+
+    def read(self, index: int) -> Demonstration:
+        """One episode.
+
+        Raises:
+            CEIError: it is absent, empty, unreadable, not finite, or in the wrong unit.
+        """
+        self.select([index])
+        table = self._table(index)
+        if table.num_rows == 0:
+            raise CEIError(f"episode {index} has no frames; leave it out with --episodes or record it again.")
+        features = self._meta.features
+        values = {
+            key: decode_array(table[key], features[key], f"episode {index}, {key}")
+            for key in table.column_names
+            if key not in self._depth_keys
+        }
+        for key in (schema.STATE, schema.ACTION):
+            self._check_values(values[key], f"episode {index}", key)
+        environment_state = values.get(schema.ENVIRONMENT_STATE)
+        tasks = self._meta.episodes[index]["tasks"]
+        return Demonstration(
+            embodiment=self.embodiment.name,
+            fps=self.fps,
+            qpos=values[schema.STATE].astype(np.float64),
+            action=values[schema.ACTION].astype(np.float64),
+            scene=self.scene,
+            task=tasks[0] if tasks else "",
+            depth_m={
+                key.removeprefix(schema.DEPTH_PREFIX): decode_depth_m(
+                    table[key], features[key], f"episode {index}, {key}"
+                )
+                for key in self._depth_keys
+            },
+            point_cloud_world=values.get(schema.POINT_CLOUD),
+            environment_state=None if environment_state is None else environment_state.astype(np.float64),
+            environment_state_names=tuple(schema.feature_names(features.get(schema.ENVIRONMENT_STATE, {}))),
+            index=index,
+        )
+
+    def _table(self, index: int) -> Any:
+        import pyarrow.parquet as pq
+
+        path = self.root / self._meta.get_data_file_path(index)
+        keys = [schema.STATE, schema.ACTION, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._depth_keys]
+        columns = [key for key in keys if key in self._meta.features]
+        try:
+            # LeRobot writes a row group an episode, so the filter reads no other episode
+            return pq.read_table(path, columns=columns, filters=[("episode_index", "==", index)])
+        except (OSError, ValueError, KeyError) as error:  # pyarrow's errors are of these kinds
+            raise CEIError(
+                f"episode {index}: {path} cannot be read ({one_line(error)}); download or record the dataset again."
+            ) from error
+
+    def _check_values(self, values: np.ndarray, where: str, key: str) -> None:
+        """values: (T, n) rad or m."""
+        body = self.embodiment
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            frame, joint = bad[0]
+            raise CEIError(
+                f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is {values[frame, joint]}; "
+                "leave the episode out with --episodes or record it again."
+            )
+        slack = np.array([UNIT_SLACK[unit] for unit in body.joint_units])
+        far = np.argwhere((values < body.lower - slack) | (values > body.upper + slack))
+        if len(far):
+            frame, joint = far[0]
+            unit = body.joint_units[joint]
+            limits = f"[{body.lower[joint]:.4g}, {body.upper[joint]:.4g}] {unit}"
+            raise CEIError(
+                f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is "
+                f"{values[frame, joint]:.4g} {unit}, far outside {limits}; it looks like {WRONG_UNIT[unit]}."
+            )

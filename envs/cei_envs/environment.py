@@ -1,0 +1,226 @@
+"""What every CEI environment shares: observation, absolute joint actions that wait, restorable starts, pictures."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+
+from cei_envs.picture import Picture
+from cei_envs.simulation import CONTROL_HZ, Simulation
+from cei_gym.demonstration import Scene
+from cei_gym.embodiment import Embodiment, load_embodiment
+from cei_gym.errors import CEIError
+from cei_gym.pointcloud import crop, farthest_point_sample
+from cei_gym.rendering import DepthCamera, look_at, unproject
+
+CLOUD_POINTS = 1024
+START_NOISE_RAD = 0.02
+ARM_TOLERANCE_RAD = 0.02
+END_EFFECTOR_TOLERANCE_RAD = 0.05
+END_EFFECTOR_TOLERANCE_M = 0.002
+AT_REST = 0.05  # rad/s or m/s: joints slower than this have arrived, or are blocked by what they hold
+
+
+class CEIEnv(gym.Env, gym.utils.EzPickle):
+    """Base of the tasks; see a task's own docstring for its page.
+
+    Args:
+        embodiment: catalogue name, `<Arm>-<EndEffector>`.
+        max_hold_ticks: most control periods (1/20 s) that one step waits for the joints to reach its target.
+        image_width, image_height: size of the depth camera's image.
+        render_mode: "rgb_array" or None.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+
+    state_names: ClassVar[tuple[str, ...]]
+    """Names with units of the entries of `environment_state`."""
+
+    def __init__(
+        self,
+        embodiment: str,
+        max_hold_ticks: int = 5,
+        image_width: int = 160,
+        image_height: int = 120,
+        render_mode: str | None = None,
+    ) -> None:
+        gym.utils.EzPickle.__init__(self, embodiment, max_hold_ticks, image_width, image_height, render_mode)
+        if max_hold_ticks < 1:
+            raise CEIError(f"max_hold_ticks is at least 1, not {max_hold_ticks}.")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise CEIError(f"unknown render_mode {render_mode!r}. Valid: {self.metadata['render_modes']} or None.")
+        self.embodiment: Embodiment = load_embodiment(embodiment)
+        self.render_mode = render_mode
+        self._max_hold_ticks = max_hold_ticks
+        self._simulation = Simulation(self.embodiment, self._make_robosuite)
+        front = look_at("front", (0.75, 0.45, 1.45), (-0.08, 0.0, 0.85), image_width, image_height, 45.0)
+        self.scene = Scene(self._simulation.T_world_base, (front,), self._workspace_world())
+        self._camera = DepthCamera(self._simulation.model, self.scene.cameras)
+        self._picture: Picture | None = None
+        n = len(self.embodiment.joint_names)
+        kinds = np.array(self.embodiment.joint_units) == "m"
+        arm = np.arange(n) < self.embodiment.n_arm
+        tolerance = np.where(kinds, END_EFFECTOR_TOLERANCE_M, END_EFFECTOR_TOLERANCE_RAD)
+        self._tolerance = np.where(arm, ARM_TOLERANCE_RAD, tolerance)[self._simulation.driven]
+        lower, upper = (x.astype(np.float32) for x in (self.embodiment.lower, self.embodiment.upper))
+        self.action_space = gym.spaces.Box(lower, upper, dtype=np.float32)
+        box = self.scene.workspace_world.astype(np.float32)
+        self.observation_space = gym.spaces.Dict(
+            {
+                # Physics lets a joint pass its limit a little.
+                "agent_pos": gym.spaces.Box(-np.inf, np.inf, (n,), np.float32),
+                "point_cloud": gym.spaces.Box(
+                    np.minimum(box[0], 0) * np.ones((CLOUD_POINTS, 1), np.float32),
+                    np.maximum(box[1], 0) * np.ones((CLOUD_POINTS, 1), np.float32),
+                    dtype=np.float32,
+                ),
+                "environment_state": gym.spaces.Box(-np.inf, np.inf, (len(self.state_names),), np.float32),
+            }
+        )
+
+    # -- what a task defines ------------------------------------------------------------------------------------
+
+    task_text: ClassVar[str]
+    """The instruction in words."""
+
+    @abstractmethod
+    def _make_robosuite(self, **robot_arguments) -> Any:
+        """The robosuite environment of the task."""
+
+    @abstractmethod
+    def _workspace_world(self) -> np.ndarray:
+        """(2, 3) box that clouds are cropped to, metres; its lower face lies just above the support surface."""
+
+    @abstractmethod
+    def _sample_state(self, rng: np.random.Generator) -> np.ndarray:
+        """(k,) a random start."""
+
+    @abstractmethod
+    def _apply_state(self, state: np.ndarray) -> None:
+        """Put the task's objects into a state (k,)."""
+
+    @abstractmethod
+    def _read_state(self) -> np.ndarray:
+        """(k,) state of the task's objects now."""
+
+    @abstractmethod
+    def _begin(self) -> None:
+        """Forget the last episode; called when the start is in place."""
+
+    @abstractmethod
+    def _observe_progress(self) -> None:
+        """Look at the task after each control period."""
+
+    @abstractmethod
+    def _is_success(self) -> bool:
+        """Whether the task is done."""
+
+    @abstractmethod
+    def failure_reason(self) -> str:
+        """Why the task is not done (yet), in one or two words."""
+
+    # -- Gymnasium ----------------------------------------------------------------------------------------------
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Start an episode.
+
+        Args:
+            seed: of the random start.
+            options: `environment_state` (k,) restores a start exactly; `agent_pos` (n,) sets the robot's joints.
+
+        Raises:
+            CEIError: an unknown option, or one of the wrong shape.
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        if unknown := set(options) - {"environment_state", "agent_pos"}:
+            raise CEIError(f"unknown reset option {sorted(unknown)[0]!r}. Valid: environment_state, agent_pos.")
+        # Drawn also when restored, and rounded to what datasets store, so that a stored start is the very start.
+        state = self._sample_state(self.np_random).astype(np.float32)
+        qpos = self._sample_start(self.np_random).astype(np.float32)
+        state = self._checked(options, "environment_state", state)
+        qpos = self._checked(options, "agent_pos", qpos)
+        self._simulation.reset(qpos)
+        self._apply_state(state)
+        self._simulation.forward()
+        self._target = qpos
+        self._begin()
+        return self._observation(), self._info()
+
+    def step(self, action: np.ndarray):
+        """Drive the joints to absolute targets; returns when they are there, at rest, or out of time."""
+        action = np.asarray(action, float)
+        if action.shape != self.action_space.shape or not np.isfinite(action).all():
+            raise CEIError(
+                f"an action of {self.embodiment.name} is {self.action_space.shape[0]} finite joint targets, not {action!r}."
+            )
+        self._target = np.clip(action, self.embodiment.lower, self.embodiment.upper)
+        for _ in range(self._max_hold_ticks):
+            before = self._simulation.qpos
+            self._simulation.tick(self._target)
+            self._observe_progress()
+            if self._is_success() or self._arrived(before):
+                break
+        success = self._is_success()
+        return self._observation(), float(success), success, False, self._info()
+
+    def render(self) -> np.ndarray | None:
+        """(240, 320, 3) uint8 picture of the scene; needs neither a display nor a GL library."""
+        if self.render_mode is None:
+            return None
+        if self._picture is None:
+            self._picture = Picture(self._simulation.model)
+        return self._picture.render(self._simulation.data)
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self._simulation.close()
+
+    # -- beside Gymnasium ---------------------------------------------------------------------------------------
+
+    def depth_m(self) -> dict[str, np.ndarray]:
+        """Camera name to (H, W) float32 depth of the scene now, metres, 0 where nothing is."""
+        return {name: depth for name, (depth, _) in self._camera.render(self._simulation.data).items()}
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The simulation's model."""
+        return self._simulation.model
+
+    # -- inside -------------------------------------------------------------------------------------------------
+
+    def _sample_start(self, rng: np.random.Generator) -> np.ndarray:
+        n, n_arm = len(self.embodiment.home), self.embodiment.n_arm
+        noise = np.where(np.arange(n) < n_arm, rng.normal(0.0, START_NOISE_RAD, n), 0.0)
+        return np.clip(self.embodiment.home + noise, self.embodiment.lower, self.embodiment.upper)
+
+    def _checked(self, options: dict[str, Any], name: str, default: np.ndarray) -> np.ndarray:
+        value = np.asarray(options.get(name, default), float)
+        if value.shape != default.shape or not np.isfinite(value).all():
+            raise CEIError(f"reset option {name!r} is {len(default)} finite numbers, not shape {value.shape}.")
+        return value
+
+    def _arrived(self, before: np.ndarray) -> bool:
+        driven, qpos = self._simulation.driven, self._simulation.qpos
+        close = np.abs(qpos - self._target)[driven] < self._tolerance
+        slow = np.abs(qpos - before)[driven] * CONTROL_HZ < AT_REST
+        return bool(np.all(close | slow))
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        images = self._camera.render(self._simulation.data)
+        points = np.concatenate([unproject(images[c.name][0], c) for c in self.scene.cameras])
+        points = points[crop(points, self.scene.workspace_world)]
+        return {
+            "agent_pos": self._simulation.qpos.astype(np.float32),
+            "point_cloud": farthest_point_sample(points, CLOUD_POINTS),
+            "environment_state": self._read_state().astype(np.float32),
+        }
+
+    def _info(self) -> dict[str, Any]:
+        success = self._is_success()
+        return {"is_success": success, "failure": "" if success else self.failure_reason()}
+
+

@@ -1,0 +1,65 @@
+"""A robosuite gripper class for a catalogued end-effector, with the physics exceptions that its YAML declares."""
+
+from fnmatch import fnmatch
+from itertools import combinations
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from robosuite.models.grippers import GRIPPER_MAPPING
+from robosuite.models.grippers.gripper_model import GripperModel
+
+from cei_gym.embodiment import EndEffectorSpec, PhysicsException
+from cei_gym.errors import unknown
+
+KINDS = ("mount", "absolute_joint_control", "no_self_contact", "geom_mass")
+
+
+def register_gripper(spec: EndEffectorSpec) -> str:
+    """Register a robosuite gripper that takes absolute joint targets, one an actuator; its name there."""
+    if spec.simulator_name not in GRIPPER_MAPPING:
+        raise unknown(f"simulator_name of {spec.name}", spec.simulator_name, GRIPPER_MAPPING)
+    stock = GRIPPER_MAPPING[spec.simulator_name]
+    exceptions = [e for e in spec.physics if e.enabled]
+    for exception in exceptions:
+        if exception.kind not in KINDS:
+            raise unknown(f"physics exception of {spec.name}", exception.kind, KINDS)
+
+    class AbsoluteGripper(stock):
+        def __init__(self, idn=0):
+            super().__init__(idn=idn)
+            for exception in exceptions:
+                _apply(self, spec, exception)
+
+        def format_action(self, action):
+            return action
+
+        @property
+        def dof(self):
+            return len(self.actuators)
+
+        @property
+        def init_qpos(self):
+            # Only a placeholder: the environment sets the start itself.
+            return np.zeros(len(self.joints))
+
+    name = f"CEI{spec.name}"
+    GRIPPER_MAPPING[name] = AbsoluteGripper
+    return name
+
+
+def _apply(gripper: GripperModel, spec: EndEffectorSpec, exception: PhysicsException) -> None:
+    bodies = [b for b in gripper.worldbody.iter("body") if b.get("name")]
+    if exception.kind == "mount":
+        bodies[0].set("pos", _text(spec.mount_pos_m))
+        bodies[0].set("quat", _text(spec.mount_quat_wxyz))
+    elif exception.kind == "no_self_contact":
+        for one, other in combinations([b.get("name") for b in bodies], 2):
+            gripper.contact.append(Element("exclude", body1=one, body2=other))
+    elif exception.kind == "geom_mass":
+        for geom in gripper.worldbody.iter("geom"):
+            if fnmatch(geom.get("name", ""), exception.parameters["geoms"]):
+                geom.set("mass", str(exception.parameters["mass_kg"]))
+
+
+def _text(values) -> str:
+    return " ".join(str(v) for v in values)

@@ -1,0 +1,26 @@
+"""RGB pictures of a simulation by our own rasteriser: the same on every machine, with a GL library or without."""
+
+import mujoco
+import numpy as np
+
+from cei_gym.rendering import DepthCamera, geom_colours, look_at, shade
+
+WIDTH, HEIGHT = 320, 240
+
+
+class Picture:
+    """A fixed view of table and robot, 320 x 240.
+
+    Args:
+        model: the simulation's model.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._view = look_at("picture", (0.85, 0.75, 1.45), (-0.2, -0.02, 0.95), WIDTH, HEIGHT, 45.0)
+        self._camera = DepthCamera(model, (self._view,))
+        self._colours = geom_colours(model)
+
+    def render(self, data: mujoco.MjData) -> np.ndarray:
+        """(240, 320, 3) uint8."""
+        depth, geom = self._camera.render(data)[self._view.name]
+        return shade(depth, geom, self._view, self._colours)

@@ -1,0 +1,28 @@
+"""Names of the environments, and their registration with Gymnasium."""
+
+import gymnasium as gym
+
+from cei_gym.embodiment import embodiment_names
+
+TASKS = {"PickCube": ("cei_envs.tasks.pick_cube:PickCubeEnv", 400)}
+"""Task name to entry point and time limit in steps."""
+
+
+def environment_id(task: str, embodiment: str) -> str:
+    """`CEI-<Task>-<Arm>-<EndEffector>`."""
+    return f"CEI-{task}-{embodiment}"
+
+
+def environment_ids() -> list[str]:
+    """All environments that this package registers."""
+    return [environment_id(task, name) for task in TASKS for name in embodiment_names()]
+
+
+def register() -> None:
+    """Register every environment, once; called by `import cei_gym`."""
+    for task, (entry_point, steps) in TASKS.items():
+        for name in embodiment_names():
+            if environment_id(task, name) not in gym.registry:
+                gym.register(
+                    environment_id(task, name), entry_point, max_episode_steps=steps, kwargs={"embodiment": name}
+                )

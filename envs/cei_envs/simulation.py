@@ -1,0 +1,115 @@
+"""A robosuite simulation of one embodiment: built, read and driven in the embodiment's own joint layout."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import robosuite
+from robosuite.controllers import load_composite_controller_config
+
+from cei_envs.gripper import register_gripper
+from cei_gym.embodiment import Embodiment
+from cei_gym.errors import CEIError
+
+CONTROL_HZ = 20
+
+
+class Simulation:
+    """robosuite's physics and controllers around one embodiment.
+
+    Args:
+        embodiment: arm and end-effector.
+        make: builds the robosuite environment from its robot arguments.
+    """
+
+    def __init__(self, embodiment: Embodiment, make: Callable[..., "robosuite.environments.base.MujocoEnv"]) -> None:
+        if embodiment.arm is None or embodiment.end_effector is None:
+            raise CEIError(f"{embodiment.name}: a simulation needs an arm and an end-effector.")
+        self._env = make(
+            robots=embodiment.arm.simulator_name,
+            gripper_types=register_gripper(embodiment.end_effector),
+            controller_configs=_controllers(embodiment),
+            initialization_noise=None,
+            control_freq=CONTROL_HZ,
+            use_camera_obs=False,
+            use_object_obs=False,
+            has_renderer=False,
+            has_offscreen_renderer=False,
+            hard_reset=False,
+            ignore_done=True,
+        )
+        self._env.reset()
+        # The environment reads the model itself; robosuite's sensors would only cost time.
+        for name in self._env.observation_names:
+            self._env.modify_observable(name, "enabled", False)
+            self._env.modify_observable(name, "active", False)
+        self.model: mujoco.MjModel = self._env.sim.model._model
+        self.data: mujoco.MjData = self._env.sim.data._data
+        robot = self._env.robots[0]
+        arm, hand = robot.robot_model.naming_prefix, robot.gripper["right"].naming_prefix
+        prefixes = [arm if q < embodiment.n_arm else hand for q in range(len(embodiment.joint_names))]
+        joints = [self.model.joint(p + n).id for p, n in zip(prefixes, embodiment.joint_names, strict=True)]
+        self._qpos_address = self.model.jnt_qposadr[joints]
+        self._qvel_address = self.model.jnt_dofadr[joints]
+        actuators = [self.model.actuator(n).id for n in robot.gripper["right"].actuators]
+        index = {joint: q for q, joint in enumerate(joints)}
+        # Actuators come in another order than joints, and fewer: map by the joint that each drives.
+        self._driven_hand = [index[self.model.actuator_trnid[a, 0]] for a in actuators]
+        self.driven = np.array([*range(embodiment.n_arm), *self._driven_hand])
+        self._n_arm = embodiment.n_arm
+        base = self.model.body(robot.robot_model.root_body).id
+        self.T_world_base = np.eye(4)
+        self.T_world_base[:3, 3] = self.data.xpos[base]
+        self.T_world_base[:3, :3] = self.data.xmat[base].reshape(3, 3)
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """(n,) joint positions of arm, then end-effector, rad or m."""
+        return self.data.qpos[self._qpos_address].copy()
+
+    def reset(self, qpos: np.ndarray) -> None:
+        """Bring everything to its first state, with the robot at rest at `qpos` (n,)."""
+        self._env.reset()
+        self.data.qpos[self._qpos_address] = qpos
+        self.data.qvel[self._qvel_address] = 0.0
+        self.data.ctrl[:] = 0.0
+
+    def forward(self) -> None:
+        """Recompute everything that follows from the state, after a change to it."""
+        mujoco.mj_forward(self.model, self.data)
+        self._env.robots[0].composite_controller.update_state()
+        self._env.robots[0].composite_controller.reset()
+
+    def tick(self, target: np.ndarray) -> None:
+        """One control period towards absolute joint targets (n,), rad or m, through robosuite's controllers."""
+        self._env.step(np.concatenate([target[: self._n_arm], target[self._driven_hand]]))
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self._env.close()
+
+
+def _controllers(embodiment: Embodiment) -> dict:
+    config = load_composite_controller_config(controller="BASIC")
+    parameters = next(e.parameters for e in embodiment.arm.physics if e.kind == "absolute_joint_control")
+    config["body_parts"] = {
+        "right": {
+            "type": "JOINT_POSITION",
+            "input_type": "absolute",
+            # Wider than any joint, so that robosuite neither scales nor clips a target.
+            "input_max": 10,
+            "input_min": -10,
+            "output_max": 10,
+            "output_min": -10,
+            "kp": parameters["kp"],
+            "damping_ratio": parameters["damping_ratio"],
+            "impedance_mode": "fixed",
+            "kp_limits": [0, 1000],
+            "damping_ratio_limits": [0, 10],
+            "qpos_limits": None,
+            "interpolation": None,
+            "ramp_ratio": 0.2,
+            "gripper": {"type": "GRIP", "use_action_scaling": False},
+        }
+    }
+    return config

@@ -1,0 +1,354 @@
+"""Bad input gives one line that says what would be right, an exit code, and no trace on disk."""
+
+import json
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from cei_converters.schema import parse_joint_feature_name
+from cei_converters.writer import DatasetWriter
+from cei_gym.demonstration import Camera, Demonstration, Scene
+from cei_gym.embodiment import load_embodiment
+from cei_gym.errors import CEIError
+
+ROBOT, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
+DATA = "data/chunk-000/file-000.parquet"
+
+
+@dataclass
+class FakeOptions:
+    steps: int = 10
+
+
+@dataclass
+class FakeReport:
+    unreachable_frames: list[int]
+
+    def summary(self) -> dict[str, Any]:
+        return {"pad_distance_mm_mean": 0.5, "unreachable_frames": self.unreachable_frames}
+
+
+class FakeTransfer:
+    """Keeps the arm still; cannot reach frame 2 of episode 1."""
+
+    def __init__(self, source: object, target: Any, options: object) -> None:
+        self.target = target
+
+    def fit(self, demonstrations: list[Demonstration]) -> None:
+        assert demonstrations
+
+    def __call__(self, demonstration: Demonstration) -> tuple[Demonstration, FakeReport]:
+        qpos = np.tile(self.target.home, (len(demonstration), 1))
+        moved = replace(demonstration, embodiment=self.target.name, qpos=qpos, action=qpos, depth_m={})
+        return moved, FakeReport([2] if demonstration.index == 1 else [])
+
+
+@pytest.fixture
+def main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[str]], int]:
+    module = ModuleType("cei_gym.transfer")
+    module.Transfer, module.TransferOptions = FakeTransfer, FakeOptions
+    monkeypatch.setitem(sys.modules, "cei_gym.transfer", module)
+    monkeypatch.delenv("HF_TOKEN", raising=False)
+    monkeypatch.chdir(tmp_path)
+    from cei_converters.convert import main
+
+    return main
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    body = load_embodiment(ROBOT)
+    qpos = np.tile(body.home, (4, 1))
+    K = np.array([[20.0, 0.0, 4.0], [0.0, 20.0, 4.0], [0.0, 0.0, 1.0]])
+    workspace = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])
+    scene = Scene(np.eye(4), (Camera("front", 8, 8, K, np.eye(4)),), workspace)
+    depth_m = {"front": np.ones((4, 8, 8), np.float32)}
+    root = tmp_path_factory.mktemp("good") / "pick"
+    with DatasetWriter("me/pick", root) as writer:
+        for _ in range(2):
+            writer.add(Demonstration(ROBOT, 20.0, qpos, qpos, scene, depth_m=depth_m))
+    return root
+
+
+@pytest.fixture
+def root(good: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(good, tmp_path / "pick"))
+
+
+@pytest.fixture
+def refuse(main: Callable, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> Callable[..., str]:
+    def refuse(**changed: str | None) -> str:
+        options = {
+            "dataset.repo_id": "me/pick",
+            "dataset.root": str(root),
+            "target": TARGET,
+            "new_repo_id": "me/out",
+            "new_root": str(tmp_path / "sub" / "out"),
+        } | {key.replace("__", "."): value for key, value in changed.items()}
+        before = sorted(tmp_path.rglob("*"))
+        code = main([f"--{key}={value}" for key, value in options.items() if value is not None])
+        output = capsys.readouterr()
+        assert code not in (0, None)
+        assert output.err.startswith("error: ")
+        assert output.err.count("\n") == 1, output.err
+        assert "Traceback" not in output.err + output.out
+        assert sorted(tmp_path.rglob("*")) == before
+        return output.err
+
+    return refuse
+
+
+def edit_json(path: Path, edit: Callable[[dict], object]) -> None:
+    data = json.loads(path.read_text())
+    edit(data)
+    path.write_text(json.dumps(data))
+
+
+def edit_column(root: Path, key: str, edit: Callable[[np.ndarray], object]) -> None:
+    table = pq.read_table(root / DATA)
+    values = np.stack(table[key].to_numpy()).astype(np.float32)
+    edit(values)
+    place = table.column_names.index(key)
+    column = pa.FixedSizeListArray.from_arrays(values.ravel(), values.shape[1]).cast(
+        table.schema.field(place).type
+    )
+    pq.write_table(table.set_column(place, table.schema.field(place), column), root / DATA)
+
+
+def rename_joint(root: Path, position: int, name: str) -> None:
+    def edit(info: dict) -> None:
+        info["features"]["observation.state"]["names"][position] = name
+
+    edit_json(root / "meta/info.json", edit)
+
+
+def test_a_good_dataset_converts(main: Callable, root: Path, tmp_path: Path, capsys: Any) -> None:
+    from cei_converters.reader import DatasetReader
+
+    out = tmp_path / "sub" / "out"
+    args = [
+        "--dataset.repo_id=me/pick",
+        f"--dataset.root={root}",
+        f"--target={TARGET}",
+        "--new_repo_id=me/out",
+    ]
+    code = main(
+        [*args, f"--new_root={out}", "--json=result.json", "--allow_unreachable", "--transfer.steps=3"]
+    )
+    assert code == 0, capsys.readouterr().err
+    assert "Wrote 2 episodes" in capsys.readouterr().out
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert (result["episodes"], [entry["episode"] for entry in result["results"]]) == (2, [0, 1])
+    reader = DatasetReader("me/out", out)
+    assert reader.embodiment.name == TARGET
+    assert reader.record(1) == {
+        "source_episode": 1,
+        "alignment": {"pad_distance_mm_mean": 0.5, "unreachable_frames": [2]},
+    }
+    assert reader.metadata.provenance.source.fingerprint.startswith("sha256:")
+    assert reader.metadata.provenance.options["transfer"] == {"steps": 3}
+
+
+@pytest.mark.parametrize("flag", [["--dry_run"], ["--dry_run=true"], ["--dry_run", "true"]])
+def test_dry_run_writes_nothing(
+    main: Callable, root: Path, tmp_path: Path, capsys: Any, flag: list[str]
+) -> None:
+    before = sorted(tmp_path.rglob("*"))
+    args = ["--dataset.repo_id=me/pick", f"--dataset.root={root}", f"--target={TARGET}", "--episodes=[0]"]
+    assert main([*args, *flag]) == 0
+    assert "pad distance" in capsys.readouterr().out
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_help_shows_an_example(main: Callable, capsys: Any) -> None:
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for part in ("cei-convert --dataset.repo_id=", "--transfer.steps", "Embodiment to convert to"):
+        assert part in text
+
+
+def test_options(refuse: Callable) -> None:
+    assert "unknown option '--targett'. Did you mean '--target'? Valid: --dataset.repo_id" in refuse(
+        targett="x"
+    )
+    assert "--target is required" in refuse(target=None)
+    assert "--dataset.repo_id is required" in refuse(dataset__repo_id=None)
+    assert "--dry_run: Couldn't parse 'maybe' into a bool" in refuse(dry_run="maybe")
+    assert "--new_repo_id=<user>/<name> is required" in refuse(new_repo_id=None)
+    assert "should read <user>/<name>" in refuse(new_repo_id="a/b/c")
+    assert "there is no folder" in refuse(json="missing/result.json")
+    assert "leave one out" in refuse(dry_run="true", push_to_hub="true")
+    assert "Did you mean 'IIWA-Inspire'? Valid: UR5e-" in refuse(target="IIWA-Inspir")
+    assert "x,y,z,qw,qx,qy,qz" in refuse(source_pose="1,2")
+
+
+def test_push_needs_a_login(refuse: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("huggingface_hub.get_token", lambda: None)
+    assert "HF_TOKEN" in refuse(push_to_hub="true")
+
+
+def test_episodes(refuse: Callable) -> None:
+    assert "me/pick has no episode 2. Valid: 0 to 1." in refuse(episodes="0,2")
+    assert "no episode -1" in refuse(episodes="-1")
+    assert "repeats one: 0, 0" in refuse(episodes="0,0")
+    assert "no list of episode indices" in refuse(episodes="[]")
+    assert "it should read like 0,3,5" in refuse(episodes="first")
+
+
+def test_unreachable_episode(refuse: Callable) -> None:
+    assert "IIWA-Inspire cannot reach episode 1: frame 2;" in refuse()
+    assert "cannot reach episode 1: frame 2;" in refuse(dry_run="true")
+
+
+def test_existing_output(refuse: Callable, tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    assert "already exists" in refuse(new_root=str(tmp_path / "there"))
+
+
+def test_missing_dataset(refuse: Callable, tmp_path: Path) -> None:
+    assert "meta/info.json is missing; set --dataset.root" in refuse(dataset__root=str(tmp_path / "none"))
+
+
+def test_missing_dataset_on_the_hub(refuse: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
+    assert "be fetched from the hub" in refuse(dataset__root=None, dataset__repo_id="me/none")
+
+
+@pytest.mark.parametrize("version", ["v2.0", "v2.1", "v4.0"])
+def test_other_versions(refuse: Callable, root: Path, version: str) -> None:
+    edit_json(root / "meta/info.json", lambda info: info.update(codebase_version=version))
+    message = refuse()
+    assert version in message
+    assert ("lerobot.scripts.convert_dataset_v21_to_v30 --repo-id=me/pick --root=" in message) == (
+        version < "v3"
+    )
+
+
+def test_missing_metadata(refuse: Callable, root: Path) -> None:
+    shutil.rmtree(root / "meta/episodes")
+    assert "meta/episodes is missing" in refuse()
+    (root / "meta/cei.json").unlink()
+    message = refuse()
+    for text in ("meta/cei.json", "scene.T_world_base", "--source="):
+        assert text in message
+
+
+def test_metadata_can_be_given(main: Callable, root: Path, capsys: Any) -> None:
+    (root / "meta/cei.json").unlink()
+    edit_json(root / "meta/info.json", lambda info: info["features"].pop("observation.depth.front"))
+    args = ["--dataset.repo_id=me/pick", f"--dataset.root={root}", f"--target={TARGET}", "--dry_run"]
+    code = main([*args, "--episodes=0", f"--source={ROBOT}", "--source_pose=0,0,0.5"])
+    assert code == 0, capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda m: m.update(embodiment="Panda-PandaGriper"), "Did you mean 'Panda-PandaGripper'? Valid:"),
+        (lambda m: m.update(embodiment=TARGET), "observation.state has 9 joints but IIWA-Inspire has"),
+        (lambda m: m.pop("scene"), "Missing required field(s) `scene`"),
+        (lambda m: m["scene"]["cameras"][0].pop("K"), "`K`"),
+        (lambda m: m["scene"]["cameras"][0].update(K=[[1, 2], [3, 4]]), "'front': K should be 3x3"),
+        (lambda m: m["scene"].update(T_world_base=[[1, 2], [3, 4]]), "T_world_base should be a 4x4"),
+        (lambda m: m["scene"].update(T_world_base="here"), "T_world_base"),
+        (lambda m: m["scene"].update(cameras=[]), "observation.depth.front has no calibration"),
+        (lambda m: m.update(format_version="9.0"), "format_version is 9.0"),
+    ],
+)
+def test_wrong_metadata(refuse: Callable, root: Path, edit: Callable, message: str) -> None:
+    edit_json(root / "meta/cei.json", edit)
+    assert message in refuse()
+
+
+def test_metadata_is_no_json(refuse: Callable, root: Path) -> None:
+    (root / "meta/cei.json").write_text("{")
+    assert "meta/cei.json cannot be read" in refuse()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("joint1.pos_deg", "joint1.pos_deg: degrees are not supported, convert to rad"),
+        ("joint1.pos", "it should read 'joint1.pos_rad' or 'joint1.pos_m'"),
+        ("joint1", "it should read 'joint1.pos_rad'"),
+        ("joint1.pos_mm", "Valid: rad, m"),
+        ("elbow.pos_rad", "joint 0 is 'elbow.pos_rad' but Panda-PandaGripper has 'joint1.pos_rad' there"),
+        ("joint2.pos_rad", "its order is joint1.pos_rad, joint2.pos_rad"),
+    ],
+)
+def test_joint_names(refuse: Callable, root: Path, name: str, message: str) -> None:
+    rename_joint(root, 0, name)
+    assert message in refuse()
+
+
+def test_joint_names_parse() -> None:
+    assert parse_joint_feature_name("a.pos_b.pos_m") == ("a.pos_b", "m")
+    with pytest.raises(CEIError):
+        parse_joint_feature_name(".pos_rad")
+
+
+def test_missing_feature(refuse: Callable, root: Path) -> None:
+    edit_json(root / "meta/info.json", lambda info: info["features"].pop("action"))
+    assert "has no feature 'action'. It has: observation.state" in refuse()
+
+
+def test_values(refuse: Callable, root: Path) -> None:
+    def degrees(values: np.ndarray) -> None:
+        values[5, 3] = -135.0
+
+    edit_column(root, "observation.state", degrees)
+    assert "episode 1, frame 1, joint joint4: observation.state is -135 rad" in (
+        message := refuse(episodes="1")
+    )
+    assert "looks like degrees; convert to rad" in message
+
+    def nan(values: np.ndarray) -> None:
+        values[2, 8] = np.nan
+
+    edit_column(root, "action", nan)
+    assert "episode 0, frame 2, joint finger_joint2: action is nan" in refuse()
+
+
+def test_empty_episode(refuse: Callable, root: Path) -> None:
+    table = pq.read_table(root / DATA)
+    pq.write_table(table.slice(0, 4), root / DATA)
+    assert "episode 1 has no frames; leave it out with --episodes" in refuse()
+
+
+def test_corrupt_files(refuse: Callable, root: Path) -> None:
+    whole = (root / DATA).read_bytes()
+    (root / DATA).write_bytes(whole[: len(whole) // 2])
+    assert f"{DATA} cannot be read" in refuse()
+    (root / DATA).unlink()
+    assert f"{DATA} cannot be read" in refuse()
+    (root / "meta/episodes/chunk-000/file-000.parquet").write_bytes(b"PAR1")
+    assert "meta/episodes/chunk-000/file-000.parquet cannot be read" in refuse()
+    (root / "meta/info.json").write_text("{")
+    assert "meta/info.json cannot be read" in refuse()
+
+
+def test_interrupt_leaves_nothing(
+    main: Callable, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(FakeTransfer, "__call__", interrupt)
+    before = sorted(tmp_path.rglob("*"))
+    args = [
+        "--dataset.repo_id=me/pick",
+        f"--dataset.root={root}",
+        f"--target={TARGET}",
+        "--new_repo_id=me/out",
+    ]
+    assert main([*args, f"--new_root={tmp_path / 'sub' / 'out'}"]) == 130
+    assert sorted(tmp_path.rglob("*")) == before

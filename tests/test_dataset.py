@@ -1,0 +1,181 @@
+"""Datasets are what stock LeRobot loads, lose nothing, and are written whole or not at all."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cei_converters.card import source_license
+from cei_converters.metadata import Environment, Metadata, Source
+from cei_converters.provenance import collect, command_line, fingerprint
+from cei_converters.reader import DatasetReader
+from cei_converters.writer import DatasetWriter
+from cei_gym.demonstration import Camera, Demonstration, Scene
+from cei_gym.embodiment import load_embodiment
+from cei_gym.errors import CEIError
+
+REPO_ID = "me/pick"
+ROBOT = "Panda-PandaGripper"
+HEIGHT, WIDTH = 18, 24
+
+
+def demonstration(frames: int, seed: int = 0) -> Demonstration:
+    rng = np.random.default_rng(seed)
+    body = load_embodiment(ROBOT)
+    qpos = rng.uniform(body.lower, body.upper, (frames, len(body.lower)))
+    K = np.array([[20.0, 0.0, 12.0], [0.0, 20.0, 9.0], [0.0, 0.0, 1.0]])
+    cameras = tuple(Camera(name, WIDTH, HEIGHT, K, np.eye(4)) for name in ("front", "side"))
+    return Demonstration(
+        embodiment=ROBOT,
+        fps=20.0,
+        qpos=qpos,
+        action=qpos + 0.01,
+        scene=Scene(np.eye(4), cameras, np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])),
+        task="pick the cube",
+        depth_m={c.name: rng.uniform(0, 65.5, (frames, HEIGHT, WIDTH)).astype(np.float32) for c in cameras},
+        point_cloud_world=rng.normal(size=(frames, 1024, 3)).astype(np.float32),
+        environment_state=rng.normal(size=(frames, 2)),
+        environment_state_names=("cube.x_m", "cube.y_m"),
+    )
+
+
+EPISODES = (demonstration(7), demonstration(5, seed=1))
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data") / "new" / "pick"
+    source = Source(repo_id="me/other", embodiment="IIWA-Inspire", license="cc-by-4.0")
+    environment = Environment("CEI-PickCube-Panda-PandaGripper", {"seed_cameras": True})
+    provenance = collect({"target": ROBOT, "transfer": {"steps": 100}}, source=source)
+    with DatasetWriter(REPO_ID, root, environment=environment, provenance=provenance) as writer:
+        for seed, episode in enumerate(EPISODES):
+            alignment = {"pad_distance_mm_mean": 1.0 + seed, "unreachable_frames": [], "bad": float("nan")}
+            writer.add(episode, {"seed": seed, "alignment": alignment})
+    return root
+
+
+def test_stock_lerobot_loads_and_iterates(root: Path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from torch.utils.data import DataLoader
+
+    dataset = LeRobotDataset(REPO_ID, root, delta_timestamps={"action": [0.0, 0.05]})
+    assert (dataset.num_episodes, dataset.num_frames, dataset.meta.robot_type) == (2, 12, ROBOT)
+    assert dataset.meta.depth_keys == ["observation.depth.front", "observation.depth.side"]
+    batches = list(DataLoader(dataset, batch_size=4))
+    depth_mm = np.concatenate([batch["observation.depth.front"] for batch in batches])
+    expected_mm = np.rint(1000 * np.concatenate([e.depth_m["front"] for e in EPISODES]))[:, None]
+    np.testing.assert_array_equal(depth_mm, expected_mm)
+    assert batches[0]["observation.point_cloud"].shape == (4, 1024, 3)
+    assert batches[0]["action"].shape == (4, 2, 9)
+    assert batches[0]["task"][0] == "pick the cube"
+    for key in set(dataset.features) - {"timestamp"}:
+        assert np.isfinite(dataset.meta.stats[key]["mean"]).all(), key
+    assert dataset.features["observation.state"]["names"][6:8] == ["joint7.pos_rad", "finger_joint1.pos_m"]
+
+
+def test_read_back_equals_what_was_written(root: Path) -> None:
+    reader = DatasetReader(REPO_ID, root)
+    assert (len(reader), reader.fps, reader.frames(1)) == (2, 20.0, 5)
+    for got, wrote in zip(reader, EPISODES, strict=True):
+        np.testing.assert_array_equal(got.qpos, wrote.qpos.astype(np.float32))
+        np.testing.assert_array_equal(got.action, wrote.action.astype(np.float32))
+        np.testing.assert_array_equal(got.point_cloud_world, wrote.point_cloud_world)
+        np.testing.assert_array_equal(got.environment_state, wrote.environment_state.astype(np.float32))
+        for camera, depth_m in wrote.depth_m.items():
+            assert got.depth_m[camera].dtype == np.float32
+            np.testing.assert_array_equal(np.rint(got.depth_m[camera] * 1000), np.rint(depth_m * 1000))
+        assert (got.task, got.environment_state_names) == (wrote.task, wrote.environment_state_names)
+    assert reader.ignored_features == []
+
+
+def test_second_conversion_round_trips_exactly(root: Path, tmp_path: Path) -> None:
+    reader = DatasetReader(REPO_ID, root)
+    with DatasetWriter(REPO_ID, tmp_path / "copy") as writer:
+        for episode in reader:
+            writer.add(episode)
+    for ours, copy in zip(reader, DatasetReader(REPO_ID, tmp_path / "copy"), strict=True):
+        np.testing.assert_array_equal(ours.depth_m["side"], copy.depth_m["side"])
+        np.testing.assert_array_equal(ours.qpos, copy.qpos)
+
+
+def test_metadata_round_trips(root: Path) -> None:
+    metadata = Metadata.load(root)
+    assert metadata.embodiment == ROBOT
+    assert metadata.environment == Environment("CEI-PickCube-Panda-PandaGripper", {"seed_cameras": True})
+    assert metadata.provenance.source.repo_id == "me/other"
+    assert metadata.provenance.versions["lerobot"]
+    assert metadata.provenance.options["transfer"] == {"steps": 100}
+    assert [record["seed"] for record in metadata.episodes] == [0, 1]
+    assert metadata.episodes[0]["alignment"]["bad"] is None
+    np.testing.assert_array_equal(metadata.scene.cameras[1].K, EPISODES[0].scene.cameras[1].K)
+    raw = json.loads((root / "meta/cei.json").read_text())
+    assert "y down" in raw["conventions"]["camera"]
+
+
+def test_card_is_complete(root: Path) -> None:
+    card = (root / "README.md").read_text()
+    assert source_license(root) == "cc-by-4.0"
+    for text in (
+        "LeRobot",
+        "cross-embodiment",
+        "data/*/*.parquet",
+        "pad_distance_mm_mean",
+        "| 1.5 | 1 | 2 |",
+    ):
+        assert text in card
+    assert "`--transfer.steps`" in card
+    assert "More Information" not in card
+
+
+def test_command_line_hides_folders() -> None:
+    hidden = command_line(["/opt/bin/cei-convert", "--dataset.root=/home/me/pick", "--target=A", "/tmp/x"])
+    assert hidden == "cei-convert --dataset.root=pick --target=A x"
+
+
+def test_fingerprint_follows_content(root: Path, tmp_path: Path) -> None:
+    with DatasetWriter(REPO_ID, tmp_path / "a") as writer:
+        writer.add(EPISODES[0])
+    assert fingerprint(root) == fingerprint(root) != fingerprint(tmp_path / "a")
+
+
+def test_nothing_is_overwritten(root: Path) -> None:
+    before = fingerprint(root)
+    with pytest.raises(CEIError, match="already exists"), DatasetWriter(REPO_ID, root):
+        pass
+    assert fingerprint(root) == before
+    assert [path.name for path in root.parent.iterdir()] == ["pick"]
+
+
+def test_failure_in_the_middle_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError), DatasetWriter(REPO_ID, tmp_path / "new" / "pick") as writer:
+        writer.add(EPISODES[0])
+        raise RuntimeError
+    with pytest.raises(CEIError, match="no episode"), DatasetWriter(REPO_ID, tmp_path / "new" / "pick"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fps": 10.0}, "fps is 10.0 but the dataset's is 20.0"),
+        ({"depth_m": {}}, "observation.depth.front has shape None"),
+        (
+            {"scene": replace(EPISODES[0].scene, T_world_base=np.diag([-1.0, -1.0, 1.0, 1.0]))},
+            "base, cameras",
+        ),
+        ({"depth_m": {c: np.full((5, HEIGHT, WIDTH), 66.0) for c in ("front", "side")}}, "65.535"),
+    ],
+)
+def test_episodes_must_match(tmp_path: Path, change: dict, message: str) -> None:
+    with (
+        pytest.raises(CEIError, match=message) as error,
+        DatasetWriter(REPO_ID, tmp_path / "pick") as writer,
+    ):
+        writer.add(EPISODES[0])
+        writer.add(replace(EPISODES[1], **change))
+    assert "\n" not in str(error.value)
+    assert list(tmp_path.iterdir()) == []
