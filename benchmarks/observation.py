@@ -1,6 +1,7 @@
 """Milliseconds of the steps of a synthesised observation: robosuite's Lift, an IIWA with an Inspire hand."""
 
 from collections.abc import Callable
+from functools import partial
 from time import perf_counter
 
 import mujoco
@@ -48,24 +49,24 @@ def main() -> None:
 
     start = perf_counter()
     mask = RobotMask(meshes)
-    print(
-        f"building the mask of {sum(len(mesh.faces) for mesh in meshes)} triangles: {perf_counter() - start:.2f} s"
-    )
+    triangles = sum(len(mesh.faces) for mesh in meshes)
+    print(f"building the mask of {triangles} triangles: {perf_counter() - start:.2f} s (compiles when new)")
     sampler = SurfaceSampler(meshes, 2048)
     for width, height in ((160, 120), (320, 240)):
         print(f"{width}x{height}")
         camera = camera_from_mujoco(model, data, "sideview", width, height)
-        camera_ = DepthCamera(model, [camera])
-        depth_m, geom_id = report("depth and ids", lambda c=camera_: c.render(data))[camera.name]
-        points_world = report("unproject", lambda d=depth_m, c=camera: unproject(d, c))
-        inside = report(f"crop {len(points_world)}", lambda p=points_world: crop(p, WORKSPACE_WORLD))
+        depth_m, geom_id = report("depth and ids", partial(DepthCamera(model, [camera]).render, data))[
+            camera.name
+        ]
+        points_world = report("unproject", partial(unproject, depth_m, camera))
+        inside = report(f"crop {len(points_world)}", partial(crop, points_world, WORKSPACE_WORLD))
         cropped = points_world[inside]
-        on_robot = report(f"mask {len(cropped)}", lambda p=cropped: mask(p, T_world_links))
+        on_robot = report(f"mask {len(cropped)}", partial(mask, cropped, T_world_links))
         true = np.isin(geom_id[depth_m > 0][inside], robot)
         print(f"    {on_robot.sum()} masked; {(true & ~on_robot).sum()} of the robot's {true.sum()} missed")
-        added = report("sample 2048", lambda: sampler(T_world_links))
+        added = report("sample 2048", partial(sampler, T_world_links))
         cloud = np.concatenate([cropped[~on_robot], added[crop(added, WORKSPACE_WORLD)]])
-        report(f"thin {len(cloud)} to 1024", lambda p=cloud: farthest_point_sample(p))
+        report(f"thin {len(cloud)} to 1024", partial(farthest_point_sample, cloud))
     env.close()
 
 

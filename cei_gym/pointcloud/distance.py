@@ -7,8 +7,8 @@ from numba import njit
 def square_distance(x, y, z, triangles, f):
     """Square of the distance from (x, y, z) to row f of triangles (F, 3, 3), in float64.
 
-    The least of the distances to the edges and, above the face, to the face. Sorting the point into one Voronoi
-    region first would be faster, but fails on the slivers and collapsed triangles of which robots' meshes are full.
+    The least of the distances to the edges and, above the face, to the face. Sorting the point into
+    a Voronoi region is quicker in theory, but fails on the slivers and collapsed triangles of robots' meshes.
     """
     ax, ay, az = float(triangles[f, 0, 0]), float(triangles[f, 0, 1]), float(triangles[f, 0, 2])
     ux, uy, uz = triangles[f, 1, 0] - ax, triangles[f, 1, 1] - ay, triangles[f, 1, 2] - az  # a to b

@@ -91,9 +91,9 @@ def _sort(grid, link, cursor, write):
 
 @njit(cache=True, nogil=True)
 def mark_near(grid, points_world, R_link_world, p_link_world, reach_m, near):
-    """Sets near (N,) where a triangle of any link is within `reach_m`; a point that is not finite is near nothing.
+    """Sets near (N,) where a triangle of any link is within `reach_m`; NaN and infinity are near nothing.
 
-    R_link_world (L, 3, 3) and p_link_world (L, 3), metres, take the points (N, 3) into the frames of the links.
+    R_link_world (L, 3, 3) and p_link_world (L, 3), metres, take the points (N, 3) into link frames.
     """
     start, entry, triangles = grid.start, grid.entry, grid.triangles
     cells, reach = 1.0 / grid.cell_m, reach_m / grid.cell_m

@@ -26,7 +26,7 @@ class RobotMask:
         Raises:
             CEIError: tau is not positive.
         """
-        if not tau_m > 0:
+        if not 0 < tau_m < np.inf:
             raise CEIError(f"the mask's threshold tau must be positive, not {tau_m} m.")
         self.tau_m = tau_m
         self._links = len(link_meshes)

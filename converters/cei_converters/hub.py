@@ -1,5 +1,6 @@
 """Upload a finished dataset, its own card included."""
 
+import contextlib
 from pathlib import Path
 
 from cei_converters.text import one_line
@@ -42,14 +43,17 @@ def push(root: Path, repo_id: str, *, private: bool = False) -> None:
         CEIError: the hub refused; the local dataset stays.
     """
     from huggingface_hub import HfApi
-    from huggingface_hub.errors import HfHubHTTPError
+    from huggingface_hub.errors import HfHubHTTPError, RevisionNotFoundError
     from lerobot.datasets.dataset_metadata import CODEBASE_VERSION
 
     api = HfApi()
     try:
         api.create_repo(repo_id, repo_type="dataset", private=private, exist_ok=True)
         api.upload_folder(repo_id=repo_id, folder_path=root, repo_type="dataset")
-        api.create_tag(repo_id, tag=CODEBASE_VERSION, repo_type="dataset", exist_ok=True)
+        # LeRobot loads this tag, so it has to move to what was just uploaded
+        with contextlib.suppress(RevisionNotFoundError):
+            api.delete_tag(repo_id, tag=CODEBASE_VERSION, repo_type="dataset")
+        api.create_tag(repo_id, tag=CODEBASE_VERSION, repo_type="dataset")
     except (HfHubHTTPError, OSError) as error:
         raise CEIError(
             f"{repo_id} could not be uploaded ({one_line(error)}); the dataset is in {root}."

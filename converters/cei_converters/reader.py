@@ -175,7 +175,8 @@ class DatasetReader:
             return pq.read_table(path, columns=columns, filters=[("episode_index", "==", index)])
         except (OSError, ValueError, KeyError) as error:  # pyarrow's errors are of these kinds
             raise CEIError(
-                f"episode {index}: {path} cannot be read ({one_line(error)}); download or record the dataset again."
+                f"episode {index}: {path} cannot be read ({one_line(error)}); "
+                "download or record the dataset again."
             ) from error
 
     def _check_values(self, values: np.ndarray, where: str, key: str) -> None:
