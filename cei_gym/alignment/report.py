@@ -37,8 +37,8 @@ class AlignmentReport:
         """Frames at which the target's pads stay farther away than `unreachable_mm`."""
         return np.flatnonzero(self.pad_distance_mm > self.unreachable_mm).tolist()
 
-    def summary(self) -> dict[str, float]:
-        """Scalars of the episode, for tables and metadata."""
+    def summary(self) -> dict[str, float | int | list[int]]:
+        """The episode in a few numbers, and which frames are out of reach, for tables and metadata."""
         return {
             "pad_distance_mm_mean": float(self.pad_distance_mm.mean()),
             "pad_distance_mm_max": float(self.pad_distance_mm.max()),
@@ -47,7 +47,7 @@ class AlignmentReport:
             "iterations_mean": float(self.iterations.mean()),
             "limit_hits_max": int(self.limit_hits.max()),
             "joint_step_max_rad": float(self.joint_step_rad.max()),
-            "unreachable_frames": len(self.unreachable_frames),
+            "unreachable_frames": self.unreachable_frames,
         }
 
 

@@ -14,8 +14,6 @@ def palmar_directions(
 ) -> np.ndarray:
     """Unit directions that points of a pad's link move in when the end-effector closes: the palmar side leads.
 
-    Only the joint nearest to the pad that closes counts, so that a thumb's opposition does not turn the answer.
-
     Args:
         points_link: (N, 3) points in the pad's link frame, m.
 
@@ -29,23 +27,17 @@ def palmar_directions(
                 f"pad {pad.body!r} of {embodiment.name}: `palmar` is 'auto' or a direction of 3 numbers."
             )
         return np.broadcast_to(direction / np.linalg.norm(direction), points_link.shape)
-    arrays, body = tree.arrays, embodiment.body_id(pad.body)
+    body = embodiment.body_id(pad.body)
     closing = embodiment.closed - embodiment.home
-    joint = arrays.body_joint[body]
-    while joint >= 0 and closing[joint] == 0:
-        joint = arrays.joint_parent[joint]
-    if joint < 0:
+    J = tree.jacobian(embodiment.home, body, np.zeros(3))
+    linear, angular = J[:3] @ closing, J[3:] @ closing
+    if not np.any(np.abs(linear) + np.abs(angular) > 0):
         raise CEIError(
             f"pad {pad.body!r} of {embodiment.name}: no joint that moves it differs between `home` and `closed`; "
             "give `closed`, or set `palmar`."
         )
-    rot, pos, axis, anchor = tree._screws(embodiment.home)
-    points = points_link @ rot[0, body].T + pos[0, body]
-    if arrays.hinge[joint]:
-        velocity = np.cross(axis[0, joint], points - anchor[0, joint])
-    else:
-        velocity = np.broadcast_to(axis[0, joint], points.shape)
-    velocity = velocity * np.sign(closing[joint]) @ rot[0, body]
+    rot = tree.forward(embodiment.home)[body, :3, :3]
+    velocity = (linear + np.cross(angular, points_link @ rot.T)) @ rot
     return velocity / np.maximum(np.linalg.norm(velocity, axis=1, keepdims=True), 1e-12)
 
 

@@ -1,9 +1,7 @@
 """`cei-convert`: one robot's LeRobot dataset becomes another's."""
 
 import contextlib
-import json
-import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,9 +12,10 @@ from cei_gym.errors import CEIError, unknown
 from cei_gym.transfer import TransferOptions
 
 if TYPE_CHECKING:
-    from cei_converters.metadata import Environment
+    from cei_converters.metadata import Environment, Provenance
     from cei_converters.reader import DatasetReader
     from cei_converters.writer import DatasetWriter
+    from cei_gym.transfer import Transfer
 
 EXAMPLE = """example:
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa
@@ -60,9 +59,11 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
 
     from cei_converters.provenance import fingerprint
     from cei_converters.reader import DatasetReader
+    from cei_converters.result import check_json_path, write_json
     from cei_gym.embodiment import load_embodiment
     from cei_gym.transfer import Transfer
 
+    check_json_path(config.json)
     reader = DatasetReader(
         config.dataset.repo_id, config.dataset.root, embodiment=config.source, T_world_base=T_world_base
     )
@@ -73,6 +74,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             writer = stack.enter_context(_writer(config, reader, fingerprint(reader.root)))
         transfer = Transfer(reader.embodiment, load_embodiment(config.target), config.transfer)
         entries = _transfer_episodes(config, reader, selected, transfer, writer)
+        if writer is not None:
+            writer.provenance = _with_choices(writer.provenance, transfer)
         print_table(entries, f"{reader.embodiment.name} -> {config.target}")
         result = {
             "source": {"repo_id": reader.repo_id, "embodiment": reader.embodiment.name},
@@ -86,11 +89,11 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "results": entries,
         }
         if config.dry_run:
-            _write_json(config.json, result)
+            write_json(config.json, result)
             if not config.allow_unreachable:
                 check_reached(config.target, entries)
     if writer is not None:
-        _write_json(config.json, result)
+        write_json(config.json, result)
         print(f"Wrote {len(entries)} episodes to {writer.root}.")
         if config.push_to_hub:
             from cei_converters.hub import push
@@ -118,8 +121,6 @@ def _check_options(config: ConvertConfig) -> None:
         from cei_converters.hub import check_login
 
         check_login()
-    if config.json is not None and not Path(config.json).absolute().parent.is_dir():
-        raise CEIError(f"--json={config.json}: there is no folder {Path(config.json).parent}.")
 
 
 def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: str) -> "DatasetWriter":
@@ -151,6 +152,15 @@ def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: 
     )
 
 
+def _with_choices(provenance: "Provenance", transfer: "Transfer") -> "Provenance":
+    """Provenance with what the transfer decided by itself: where trajectories start, on which pads."""
+    from cei_converters.metadata import plain
+
+    pads = {e.name: plain(e.end_effector.pads) for e in (transfer.source, transfer.target) if e.end_effector}
+    options = provenance.options | {"basin": plain(transfer.basins[0])}
+    return replace(provenance, pads=pads, options=options)
+
+
 def _revision(root: Path) -> str | None:
     """Commit of a dataset in the hub's cache, where folders are named by it."""
     return root.name if root.parent.name == "snapshots" else None
@@ -174,28 +184,10 @@ def _transfer_episodes(
     transfer: Any,
     writer: "DatasetWriter | None",
 ) -> list[dict[str, Any]]:
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from cei_converters.progress import progress_bar
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("frames"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
     entries = []
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with progress_bar("frames") as progress:
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
         transfer.fit([reader.read(index) for index in selected[:FIT_EPISODES]])
         for index in selected:
@@ -212,17 +204,6 @@ def _transfer_episodes(
                 )
             progress.advance(task, len(demonstration))
     return entries
-
-
-def _write_json(path: str | None, result: dict[str, Any]) -> None:
-    from cei_converters.metadata import plain
-
-    if path is None:
-        return
-    target = Path(path)
-    partial = target.with_name(f".{target.name}.partial-{os.getpid()}")
-    partial.write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
-    partial.replace(target)
 
 
 def main(args: list[str] | None = None) -> int:

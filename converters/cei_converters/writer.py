@@ -36,6 +36,9 @@ class DatasetWriter:
         root: its folder, which must not exist; default: LeRobot's.
         environment: what the episodes replay in.
         provenance: how they came about.
+
+    Attributes:
+        provenance: as given; it may be completed until the block ends.
     """
 
     def __init__(
@@ -49,7 +52,7 @@ class DatasetWriter:
         self.repo_id = repo_id
         self.root = Path(root) if root is not None else default_root(repo_id)
         self._environment = environment or Environment()
-        self._provenance = provenance or Provenance()
+        self.provenance = provenance or Provenance()
         self._partial = self.root.parent / f".{self.root.name}.partial-{os.getpid()}"
         self._new_folders: list[Path] = []
         self._records: list[dict[str, Any]] = []
@@ -151,7 +154,7 @@ class DatasetWriter:
             embodiment=self._first.embodiment,
             scene=self._first.scene,
             environment=self._environment,
-            provenance=self._provenance,
+            provenance=self.provenance,
             episodes=tuple(self._records),
         )
         metadata.save(self._partial)

@@ -21,6 +21,8 @@ START_NOISE_RAD = 0.02
 ARM_TOLERANCE_RAD = 0.02
 END_EFFECTOR_TOLERANCE_RAD = 0.05
 END_EFFECTOR_TOLERANCE_M = 0.002
+STALLED_RAD = 0.1  # an arm that ends a step this far from its target is held back
+STALLED_STEPS = 10
 AT_REST = 0.05  # rad/s or m/s: joints slower than this have arrived, or are blocked by what they hold
 
 
@@ -82,6 +84,9 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         )
 
     # -- what a task defines ------------------------------------------------------------------------------------
+
+    task: ClassVar[str]
+    """Its name in environment ids."""
 
     task_text: ClassVar[str]
     """The instruction in words."""
@@ -146,7 +151,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         self._simulation.reset(qpos)
         self._apply_state(state)
         self._simulation.forward()
-        self._target = qpos
+        self._target, self._stalled = qpos, 0
         self._begin()
         return self._observation(), self._info()
 
@@ -164,6 +169,9 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             self._observe_progress()
             if self._is_success() or self._arrived(before):
                 break
+        arm = slice(self.embodiment.n_arm)
+        if np.abs(self._simulation.qpos - self._target)[arm].max() > STALLED_RAD:
+            self._stalled += 1
         success = self._is_success()
         return self._observation(), float(success), success, False, self._info()
 
@@ -189,6 +197,16 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
     def model(self) -> mujoco.MjModel:
         """The simulation's model."""
         return self._simulation.model
+
+    def expert(self, seed: int):
+        """The scripted expert of this task and embodiment, varied by `seed`.
+
+        Raises:
+            CEIError: there is none.
+        """
+        from cei_envs.experts import make_expert  # mink is not needed to run an environment
+
+        return make_expert(self.task, self.embodiment, self.scene.T_world_base, seed)
 
     # -- inside -------------------------------------------------------------------------------------------------
 
@@ -221,6 +239,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
 
     def _info(self) -> dict[str, Any]:
         success = self._is_success()
-        return {"is_success": success, "failure": "" if success else self.failure_reason()}
+        reason = "unreachable" if self._stalled >= STALLED_STEPS else self.failure_reason()
+        return {"is_success": success, "failure": "" if success else reason}
 
 

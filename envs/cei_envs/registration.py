@@ -2,8 +2,6 @@
 
 import gymnasium as gym
 
-from cei_gym.embodiment import embodiment_names
-
 TASKS = {"PickCube": ("cei_envs.tasks.pick_cube:PickCubeEnv", 400)}
 """Task name to entry point and time limit in steps."""
 
@@ -15,11 +13,16 @@ def environment_id(task: str, embodiment: str) -> str:
 
 def environment_ids() -> list[str]:
     """All environments that this package registers."""
+    # Importing cei_gym registers the environments, for which this module must be complete.
+    from cei_gym.embodiment import embodiment_names
+
     return [environment_id(task, name) for task in TASKS for name in embodiment_names()]
 
 
 def register() -> None:
     """Register every environment, once; called by `import cei_gym`."""
+    from cei_gym.embodiment import embodiment_names
+
     for task, (entry_point, steps) in TASKS.items():
         for name in embodiment_names():
             if environment_id(task, name) not in gym.registry:

@@ -48,7 +48,7 @@ class PickCubeEnv(CEIEnv):
     ### Reward, success and end
     Reward is 1 on success, else 0. Success (`info["is_success"]`, which also terminates): the cube has been at least 5 cm
     above its start for 10 control periods in a row. `info["failure"]` says why not yet: never grasped, slipped, dropped,
-    timed out. Truncated after 400 steps.
+    unreachable (the arm kept falling short of its targets), timed out. Truncated after 400 steps.
 
     ### Start
     `reset(seed=...)` draws cube and joints (home plus 0.02 rad of noise); `options={"environment_state": ...,
@@ -58,6 +58,7 @@ class PickCubeEnv(CEIEnv):
     See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `render_mode`.
     """
 
+    task: ClassVar[str] = "PickCube"
     task_text: ClassVar[str] = "Pick up the cube and hold it."
     state_names: ClassVar[tuple[str, ...]] = (
         "cube.x_m",

@@ -1,0 +1,211 @@
+"""`cei-replay`: execute a dataset's actions in physics, from each episode's recorded start, and count successes."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cei_converters.cli import DatasetConfig, run
+from cei_gym.errors import CEIError
+
+if TYPE_CHECKING:
+    from cei_converters.reader import DatasetReader
+
+EXAMPLE = """example:
+  cei-replay --dataset.repo_id=me/pick_iiwa --dataset.root=data/pick_iiwa
+  cei-replay --dataset.repo_id=me/pick_iiwa --dataset.root=data/pick_iiwa \\
+      --source.repo_id=me/pick_panda --source.root=data/pick_panda --video=outputs/pick_iiwa.mp4"""
+HOLD_STEPS = 20
+"""Steps that the last target is held for a success to show."""
+
+
+@dataclass
+class SourceConfig:
+    """The dataset that the replayed one was converted from, to show beside it."""
+
+    repo_id: str | None = None  # Its name.
+    root: str | None = None  # Its folder.
+
+
+@dataclass
+class ReplayConfig:
+    """Replay a dataset in simulation and report how often it succeeds."""
+
+    dataset: DatasetConfig
+    source: SourceConfig = field(default_factory=SourceConfig)  # Shown beside it in the video.
+    env: str | None = None  # Environment id; default: the one that the dataset names.
+    episodes: str | None = None  # Episodes to replay, such as 0,3,5; default: all.
+    video: str | None = None  # MP4 to write, with a contact sheet beside it; default: outputs/replay/<name>.mp4.
+    video_episodes: int = 3  # How many episodes the video shows; 0 writes none.
+    json: str | None = None  # File for the result as JSON.
+
+
+def replay(config: ReplayConfig) -> dict[str, Any]:
+    """Replay a dataset; print successes with a Wilson interval and the reasons of failure.
+
+    Raises:
+        CEIError: bad options or data, or no environment to replay in.
+    """
+    from cei_converters.options import parse_episodes
+    from cei_converters.progress import progress_bar
+    from cei_converters.reader import DatasetReader
+    from cei_converters.result import check_json_path, write_json
+
+    check_json_path(config.json)
+    video = _video_path(config)
+    reader = DatasetReader(config.dataset.repo_id, config.dataset.root)
+    selected = reader.select(parse_episodes(config.episodes))
+    stage = _Stage(reader, config.env)
+    beside = None
+    if config.source.repo_id is not None:
+        beside = _Stage(DatasetReader(config.source.repo_id, config.source.root), None)
+    results, films = [], []
+    with progress_bar("episodes") as progress:
+        task = progress.add_task(f"replaying {stage.reader.embodiment.name}", total=len(selected))
+        for index in selected:
+            filmed = video is not None and len(films) < config.video_episodes
+            entry, pictures = stage.play(index, filmed)
+            results.append(entry)
+            if filmed:
+                films.append(_film(stage, beside, index, entry, pictures))
+            progress.advance(task)
+    for used in filter(None, (stage, beside)):
+        used.env.close()
+    result = {
+        "repo_id": reader.repo_id,
+        "env": stage.env_id,
+        "embodiment": reader.embodiment.name,
+        "episodes": len(results),
+        "successes": sum(entry["success"] for entry in results),
+        "interval_95": _wilson(sum(entry["success"] for entry in results), len(results)),
+        "failures": dict(Counter(entry["failure"] for entry in results if not entry["success"])),
+        "video": None if video is None else str(video),
+        "results": results,
+    }
+    if video is not None:
+        _write_films(video, films, reader.fps)
+    write_json(config.json, result)
+    _print(result)
+    return result
+
+
+class _Stage:
+    """A dataset and the environment that it replays in."""
+
+    def __init__(self, reader: "DatasetReader", env_id: str | None) -> None:
+        from cei_converters.environment import open_environment
+
+        recorded = reader.metadata.environment if reader.metadata is not None else None
+        self.reader = reader
+        self.env_id = env_id or (recorded.id if recorded is not None else None)
+        if self.env_id is None:
+            raise CEIError(f"{reader.repo_id} does not say which environment it replays in; name it with --env.")
+        kwargs = recorded.kwargs if recorded is not None and env_id is None else {}
+        self.env = open_environment(self.env_id, render_mode="rgb_array", **kwargs)
+        theirs = self.env.unwrapped.embodiment.name
+        if theirs != reader.embodiment.name:
+            raise CEIError(f"{reader.repo_id} is of {reader.embodiment.name}, but {self.env_id} has a {theirs}.")
+
+    def play(self, index: int, filmed: bool) -> tuple[dict[str, Any], list[np.ndarray]]:
+        """Replay one episode: its result, and a picture a step if filmed."""
+        episode, env = self.reader.read(index), self.env
+        if episode.environment_state is None:
+            raise CEIError(f"episode {index} of {self.reader.repo_id} has no observation.environment_state to start from.")
+        start = {"environment_state": episode.environment_state[0], "agent_pos": episode.qpos[0]}
+        _, info = env.reset(seed=index, options=start)
+        pictures = [env.render()] if filmed else []
+        steps = 0
+        for action in [*episode.action, *[episode.action[-1]] * HOLD_STEPS]:
+            _, _, terminated, truncated, info = env.step(action.astype(np.float32))
+            steps += 1
+            if filmed:
+                pictures.append(env.render())
+            if terminated or truncated:
+                break
+        entry = {
+            "episode": index,
+            "success": bool(info["is_success"]),
+            "failure": info["failure"],
+            "steps": steps,
+            "frames": len(episode),
+        }
+        return entry, pictures
+
+
+def _film(stage: _Stage, beside: _Stage | None, index: int, entry: dict[str, Any], pictures: list[np.ndarray]):
+    """Views and their labels: the source, where it is known, then the replayed episode."""
+    verdict = "success" if entry["success"] else entry["failure"]
+    views, labels = [pictures], [f"{stage.reader.embodiment.name}, episode {index}: {verdict}"]
+    if beside is not None:
+        source = stage.reader.record(index).get("source_episode", index)
+        source_entry, source_pictures = beside.play(source, True)
+        verdict = "success" if source_entry["success"] else source_entry["failure"]
+        views.insert(0, source_pictures)
+        labels.insert(0, f"{beside.reader.embodiment.name}, episode {source}: {verdict}")
+    return views, labels
+
+
+def _video_path(config: ReplayConfig) -> Path | None:
+    if config.video_episodes < 1:
+        return None
+    if config.video is not None:
+        path = Path(config.video)
+        if path.exists():
+            raise CEIError(f"--video={config.video} already exists; choose another file or remove it first.")
+        return path
+    name = config.dataset.repo_id.split("/")[-1]
+    folder, number = Path("outputs/replay"), 1
+    while (path := folder / f"{name}{'' if number == 1 else f'-{number}'}.mp4").exists():
+        number += 1
+    return path
+
+
+def _write_films(path: Path, films: list, fps: float) -> None:
+    from PIL import Image
+
+    from cei_converters.video import contact_sheet, side_by_side, write_video
+
+    frames = [frame for views, labels in films for frame in side_by_side(views, labels)]
+    write_video(path, frames, int(fps))
+    Image.fromarray(contact_sheet(*films[0])).save(path.with_suffix(".png"))
+
+
+def _wilson(successes: int, n: int) -> tuple[float, float]:
+    from scipy.stats import binomtest
+
+    interval = binomtest(successes, n).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def _print(result: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    low, high = result["interval_95"]
+    table = Table(title=f"Replay of {result['repo_id']} in {result['env']}")
+    for column in ("embodiment", "episodes", "successes", "rate", "95 % (Wilson)", "failures"):
+        table.add_column(column)
+    failures = ", ".join(f"{reason}: {count}" for reason, count in result["failures"].items()) or "-"
+    rate = result["successes"] / result["episodes"]
+    table.add_row(
+        result["embodiment"],
+        str(result["episodes"]),
+        str(result["successes"]),
+        f"{rate:.0%}",
+        f"{low:.0%} to {high:.0%}",
+        failures,
+    )
+    Console(width=None if Console().is_terminal else 140).print(table)
+    if result["video"]:
+        print(f"Video: {result['video']}; contact sheet: {Path(result['video']).with_suffix('.png')}.")
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `cei-replay`."""
+    return run(ReplayConfig, replay, args, prog="cei-replay", example=EXAMPLE)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
