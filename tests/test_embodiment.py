@@ -55,9 +55,11 @@ ARM_URDF = """<robot name="arm">
     <collision><geometry>{geometry}</geometry></collision>
   </link>
   <joint name="turn" type="revolute">
-    <parent link="base"/><child link="link"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/>
+    <parent link="base"/><child link="link"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/>
   </joint>
 </robot>"""
+FREE_BODY = '<mujoco><worldbody><body name="b"><freejoint/><geom size="1"/></body></worldbody></mujoco>'
 BOX = '<box size="0.1 0.1 0.1"/>'
 
 
@@ -89,7 +91,7 @@ def write_arm(path: Path, geometry: str = BOX) -> ArmSpec:
     return ArmSpec("Arm", str(path), "link", {})
 
 
-# -- kinematics ----------------------------------------------------------------------------------------------------
+# -- kinematics ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", embodiment_names())
@@ -113,9 +115,7 @@ def test_torch_chain_gives_the_links_asked_for_and_their_gradient() -> None:
     for i, body in enumerate(bodies):
         moved = T[0, i, :3, :3] @ torch.tensor(point) + T[0, i, :3, 3]
         J = np.array([torch.autograd.grad(x, angles, retain_graph=True)[0][0].numpy() for x in moved])
-        np.testing.assert_allclose(
-            J, KinematicTree(embodiment).jacobian(qpos[0], body, point)[:3], atol=1e-9
-        )
+        np.testing.assert_allclose(J, KinematicTree(embodiment).jacobian(qpos[0], body, point)[:3], atol=1e-9)
 
 
 @settings(max_examples=20, deadline=None)
@@ -146,7 +146,7 @@ def test_kinematics_are_batched_over_any_leading_shape() -> None:
         tree.forward(qpos[:, :7])
 
 
-# -- couplings -----------------------------------------------------------------------------------------------------
+# -- couplings -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", PAIRS)
@@ -237,7 +237,7 @@ def test_layout_is_arm_then_end_effector(arm: str, end_effector: str) -> None:
     }
 
 
-# -- the simulation ------------------------------------------------------------------------------------------------
+# -- the simulation ------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module", params=PAIRS)
@@ -328,7 +328,7 @@ def test_robotiq_couplings_are_what_the_stock_physics_settles_to() -> None:
     simulation.close()
 
 
-# -- third-party descriptions --------------------------------------------------------------------------------------
+# -- third-party descriptions --------------------------------------------------------------------------------
 
 
 def ag95(**changes) -> EndEffectorSpec:
@@ -381,7 +381,9 @@ def test_third_party_urdf(spec: EndEffectorSpec, independent: int, moving: int, 
     qpos = random_qpos(embodiment, 3)
     expected = mujoco_poses(embodiment.model, qpos)
     np.testing.assert_allclose(KinematicTree(embodiment).forward(qpos), expected, atol=1e-9)
-    np.testing.assert_allclose(TorchChain(embodiment).forward(torch.tensor(qpos)).numpy(), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        TorchChain(embodiment).forward(torch.tensor(qpos)).numpy(), expected, atol=1e-9
+    )
     if arm and spec.root_body:
         root, flange = (embodiment.model.body(n).id for n in ("ee/" + spec.root_body, "right_hand"))
         assert embodiment.model.body_parentid[root] == flange
@@ -405,7 +407,7 @@ def test_ag95_fingers_close_symmetrically_and_stay_parallel() -> None:
     np.testing.assert_allclose(tips[:, 0, :2, 3], -tips[:, 1, :2, 3], atol=5e-4)
 
 
-# -- bad input -----------------------------------------------------------------------------------------------------
+# -- bad input -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -451,7 +453,9 @@ def test_an_external_entity_is_not_read(tmp_path: Path) -> None:
         build_embodiment(ArmSpec("Arm", str(path), "base", {}), None)
 
 
-@pytest.mark.parametrize("uri", ["../outside.stl", "file:///etc/passwd", "/etc/passwd", "package://arm/../../x.stl"])
+@pytest.mark.parametrize(
+    "uri", ["../outside.stl", "file:///etc/passwd", "/etc/passwd", "package://arm/../../x.stl"]
+)
 def test_a_mesh_outside_the_folder_is_refused(tmp_path: Path, uri: str) -> None:
     (tmp_path / "outside.stl").write_text("solid x\nendsolid x\n")
     folder = tmp_path / "arm"
@@ -468,10 +472,13 @@ def test_a_mesh_outside_the_folder_is_refused(tmp_path: Path, uri: str) -> None:
         '<include file="../outside.xml"/>',
         '<compiler meshdir=".."/><asset><mesh name="m" file="outside.stl"/></asset>',
         '<compiler assetdir=".."/><asset><mesh name="m" file="outside.stl"/></asset>',
+        '<compiler texturedir=".."/><asset><texture type="cube" fileright="outside.stl"/></asset>',
+        '<include file="part.xml"/>',
+        '<compiler meshdir="."/><compiler meshdir=".."/><asset><mesh name="m" file="outside.stl"/></asset>',
     ],
 )
 def test_an_mjcf_cannot_reach_outside_its_folder(tmp_path: Path, asset: str) -> None:
-    # A readable tetrahedron, so that only the rule can refuse it.
+    # A readable ball, so that only the rule can refuse it.
     import trimesh
 
     trimesh.creation.icosphere(1, 0.1).export(tmp_path / "outside.stl")
@@ -479,12 +486,53 @@ def test_an_mjcf_cannot_reach_outside_its_folder(tmp_path: Path, asset: str) -> 
     folder = tmp_path / "arm"
     folder.mkdir()
     geom = '<geom type="mesh" mesh="m"/>' if "mesh" in asset else ""
+    (folder / "part.xml").write_text('<mujoco><asset><mesh name="m" file="../outside.stl"/></asset></mujoco>')
     (folder / "arm.xml").write_text(
         f'<mujoco>{asset}<worldbody><body name="base">{geom}</body></worldbody></mujoco>'
     )
     with pytest.raises(CEIError) as error:
         build_embodiment(ArmSpec("Arm", str(folder / "arm.xml"), "base", {}), None)
     assert "points outside its folder 'arm'" in one_line(error)
+
+
+def test_an_mjcf_may_name_files_in_any_folder_inside(tmp_path: Path) -> None:
+    import trimesh
+
+    for folder in ("meshes", "models"):
+        (tmp_path / folder).mkdir()
+    trimesh.creation.icosphere(1, 0.1).export(tmp_path / "meshes/ball.stl")
+    (tmp_path / "models/assets.xml").write_text(
+        '<mujoco><compiler meshdir="meshes"/><asset><mesh name="m" file="ball.stl"/></asset></mujoco>'
+    )
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><include file="models/assets.xml"/><worldbody><body name="base">'
+        '<joint name="turn"/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
+    )
+    embodiment = build_embodiment(ArmSpec("Arm", str(path), "base", {}), None)
+    assert embodiment.joint_names == ("turn",)
+    assert visual_link_meshes(embodiment.model)[1].extents == pytest.approx([0.2, 0.2, 0.2], rel=0.05)
+
+
+def test_a_tendon_actuator_does_not_limit_a_joint(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        """<mujoco><compiler angle="radian"/><worldbody><body name="b"><geom size="0.1"/>
+        <joint name="a" range="-1 1"/><joint name="c" axis="0 1 0" range="-1 1"/></body></worldbody>
+        <tendon><fixed name="t"><joint joint="c" coef="1"/></fixed></tendon><actuator>
+        <position tendon="t" ctrlrange="0 0.5"/><position joint="c" ctrlrange="-0.4 2"/></actuator>
+        </mujoco>"""
+    )
+    arm = build_embodiment(ArmSpec("Arm", str(path), "b", {}), None)
+    np.testing.assert_allclose([arm.lower, arm.upper], [[-1, -0.4], [1, 1]])
+
+
+def test_an_arm_without_joints_is_an_embodiment(tmp_path: Path) -> None:
+    path = tmp_path / "post.xml"
+    path.write_text('<mujoco><worldbody><body name="b"><geom size="0.1"/></body></worldbody></mujoco>')
+    embodiment = build_embodiment(ArmSpec("Post", str(path), "b", {}), load_end_effector("PandaGripper"))
+    assert (embodiment.n_arm, len(embodiment.coupled.independent)) == (0, 1)
+    assert build_embodiment(ArmSpec("Post", str(path), "b", {}), None).joint_names == ()
 
 
 @pytest.mark.parametrize(
@@ -494,8 +542,14 @@ def test_an_mjcf_cannot_reach_outside_its_folder(tmp_path: Path, asset: str) -> 
         ("<sdf/>", "root element <sdf> is neither"),
         ('<mujoco><worldbody><body name="b"><geom/></body></worldbody></mujoco>', "MuJoCo"),
         (ARM_URDF.format(geometry='<mesh filename="none.stl"/>'), "none.stl"),
-        (ARM_URDF.format(geometry='<mesh filename="package://ros/x.stl"/>'), "no enclosing folder is named 'ros'"),
-        ('<mujoco><worldbody><body name="b"><freejoint/><geom size="1"/></body></worldbody></mujoco>', "neither a hinge"),
+        (
+            ARM_URDF.format(geometry='<mesh filename="package://ros/x.stl"/>'),
+            "no enclosing folder is named 'ros'",
+        ),
+        (
+            '<mujoco><worldbody><body name="b"><freejoint/><geom size="1"/></body></worldbody></mujoco>',
+            "neither a hinge",
+        ),
     ],
 )
 def test_a_description_that_cannot_be_used(tmp_path: Path, text: str, message: str) -> None:
@@ -523,8 +577,14 @@ def test_a_missing_file(uri: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"couplings": {"joint_r_index_distal": Coupling("index")}}, "unknown joint in a coupling of Inspire 'index'"),
-        ({"couplings": {"index": Coupling("joint_r_index_distal")}}, "unknown joint in a coupling of Inspire 'index'"),
+        (
+            {"couplings": {"joint_r_index_distal": Coupling("index")}},
+            "joint in a coupling of Inspire 'index'",
+        ),
+        (
+            {"couplings": {"index": Coupling("joint_r_index_distal")}},
+            "joint in a coupling of Inspire 'index'",
+        ),
         (
             {
                 "couplings": {
@@ -535,9 +595,15 @@ def test_a_missing_file(uri: str) -> None:
             "go round in a circle: joint_r_index_",
         ),
         ({"couplings": {"joint_r_index_distal": Coupling("joint_r_index_distal")}}, "go round in a circle"),
-        ({"home": {"joint_r_ring_proximal": 2.0}}, "home puts joint_r_ring_proximal at 2, outside [0, 1.62] rad"),
+        (
+            {"home": {"joint_r_ring_proximal": 2.0}},
+            "joint_r_ring_proximal at 2, outside [0, 1.62] rad",
+        ),
         ({"closed": {"joint_r_index_proximal": -0.5}}, "closed puts joint_r_index_proximal at -0.5"),
-        ({"home": {"joint_r_ring_distal": 1.0}}, "unknown independent joint in a pose of Inspire 'joint_r_ring_distal'"),
+        (
+            {"home": {"joint_r_ring_distal": 1.0}},
+            "unknown independent joint in a pose of Inspire",
+        ),
         ({"root_body": "palm"}, "unknown root_body of Inspire 'palm'"),
         ({"angle": "rad"}, "unknown angle of Inspire 'rad'. Did you mean 'radian'?"),
     ],
@@ -580,7 +646,7 @@ def test_a_missing_yaml(tmp_path: Path) -> None:
         load_spec(ArmSpec, tmp_path / "arm.yaml")
 
 
-# -- surfaces ------------------------------------------------------------------------------------------------------
+# -- surfaces ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -31,12 +31,7 @@ def load_description(path: Path, root: Path) -> Description:
     Raises:
         CEIError: not XML, XML entities, a mesh outside `root`, or a model that MuJoCo refuses.
     """
-    try:
-        tree = safe_xml.parse(path).getroot()
-    except DefusedXmlException:
-        raise CEIError(f"{path.name}: XML entities are not allowed in a robot description.") from None
-    except safe_xml.ParseError as error:
-        raise CEIError(f"{path.name}: not well-formed XML: {error}.") from None
+    tree = _parse(path)
     try:
         if tree.tag == "robot":
             return _load_urdf(tree, path, root)
@@ -49,14 +44,40 @@ def load_description(path: Path, root: Path) -> Description:
     raise CEIError(f"{path.name}: root element <{tree.tag}> is neither <mujoco> (MJCF) nor <robot> (URDF).")
 
 
+def _parse(path: Path) -> Element:
+    try:
+        return safe_xml.parse(path).getroot()
+    except DefusedXmlException:
+        raise CEIError(f"{path.name}: XML entities are not allowed in a robot description.") from None
+    except safe_xml.ParseError as error:
+        raise CEIError(f"{path.name}: not well-formed XML: {error}.") from None
+
+
 def _load_mjcf(tree: Element, path: Path, root: Path) -> Description:
-    compiler = tree.find("compiler")
-    folder = path.parent / (compiler.get("meshdir", "") if compiler is not None else "")
-    for element in tree.iter():
-        if file := element.get("file"):
-            within(root, folder / file, file)
+    _refuse_files_outside(tree, path, root)
     spec = mujoco.MjSpec.from_file(str(path))
     return Description(spec, _equality_couplings(spec))
+
+
+def _refuse_files_outside(tree: Element, path: Path, root: Path) -> None:
+    """Refuse an MJCF file if it, or a file that it includes, names a file outside `root`."""
+    documents, read = [tree], {path.resolve()}
+    for document in documents:  # grows as includes are found
+        for element in document.iter():
+            if element.tag in ("include", "model") and (file := element.get("file")):
+                inside = within(root, path.parent / file, file)
+                if inside.is_file() and inside not in read:
+                    read.add(inside)
+                    documents.append(_parse(inside))
+    compilers = [c for document in documents for c in document.iter("compiler")]
+    folders = [path.parent / c.get(d, "") for c in compilers for d in ("assetdir", "meshdir", "texturedir")]
+    for document in documents:
+        for element in document.iter():
+            for file in (value for key, value in element.items() if key.startswith("file")):
+                places = [folder / file for folder in [path.parent, *folders]]
+                # Which folder counts depends on the element; one that has no such file does not.
+                for place in [p for p in places if p.is_file()] or places:
+                    within(root, place, file)
 
 
 def _equality_couplings(spec: mujoco.MjSpec) -> dict[str, Coupling]:

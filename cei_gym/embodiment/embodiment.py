@@ -181,7 +181,7 @@ def _from_model(
     public = [_public(n) for n in names]
     if len(set(public)) < len(public):
         raise CEIError(f"{name}: arm and end-effector share a joint name: {sorted(public)}.")
-    is_hand = np.array([n.startswith(END_EFFECTOR_PREFIX) for n in names])
+    is_hand = np.array([n.startswith(END_EFFECTOR_PREFIX) for n in names], bool)
     if np.any(np.diff(is_hand.astype(int)) < 0):
         raise CEIError(
             f"{name}: joints of arm and end-effector interleave; give the arm one chain to its mount_body."
@@ -189,7 +189,8 @@ def _from_model(
     limited = model.jnt_limited.astype(bool)
     lower = np.where(limited, model.jnt_range[:, 0], -CONTINUOUS_LIMIT_RAD)
     upper = np.where(limited, model.jnt_range[:, 1], CONTINUOUS_LIMIT_RAD)
-    for a in np.flatnonzero((model.actuator_biasprm[:, 1] != 0) & model.actuator_ctrllimited):
+    on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    for a in np.flatnonzero(on_joint & (model.actuator_biasprm[:, 1] != 0) & model.actuator_ctrllimited):
         # A position servo cannot be told to go past its command range.
         q = model.actuator_trnid[a, 0]
         lower[q] = max(lower[q], model.actuator_ctrlrange[a, 0])
@@ -247,7 +248,7 @@ def _couple(name: str, names: list[str], couplings: dict[str, Coupling]) -> Coup
                 )
             seen.append(joint)
         leader[q] = position[names.index(joint)]
-    return Coupled(leader, scale, offset, np.array(independent))
+    return Coupled(leader, scale, offset, np.array(independent, int))
 
 
 def _pose(name: str, public: list[str], coupled: Coupled, values: dict[str, float]) -> np.ndarray:

@@ -99,6 +99,11 @@ def _stop(_signal: int, _frame: object) -> NoReturn:
     raise KeyboardInterrupt
 
 
+def quiet_libraries() -> None:
+    """Keep libraries' warnings (LeRobot's on a missing FFmpeg is 80 lines) from burying the one line that matters."""
+    logging.getLogger().setLevel(logging.ERROR)
+
+
 def run[Config](
     config_cls: type[Config],
     func: Callable[[Config], object],
@@ -111,7 +116,7 @@ def run[Config](
 
     Bad input prints `error: <one line>` to stderr and gives 1 (2 for a bad option); an interrupt gives 130.
     """
-    logging.getLogger().setLevel(logging.ERROR)  # libraries' warnings would bury the one line that matters
+    quiet_libraries()
     previous = None
     with contextlib.suppress(ValueError):  # not in the main thread
         # a terminated run must clean up its unfinished output as an interrupted one does

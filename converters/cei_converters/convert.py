@@ -48,7 +48,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     """Convert a dataset; print a table of the quality of each episode.
 
     Returns:
-        The result: source, target, and under `results` one entry an episode.
+        The result: source, target, under `results` one entry an episode, under `residuals` the same frame by frame.
 
     Raises:
         CEIError: bad options or data, or an episode that the target cannot reach.
@@ -73,7 +73,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         if not config.dry_run:
             writer = stack.enter_context(_writer(config, reader, fingerprint(reader.root)))
         transfer = Transfer(reader.embodiment, load_embodiment(config.target), config.transfer)
-        entries = _transfer_episodes(config, reader, selected, transfer, writer)
+        entries, residuals = _transfer_episodes(config, reader, selected, transfer, writer)
         if writer is not None:
             writer.provenance = _with_choices(writer.provenance, transfer)
         print_table(entries, f"{reader.embodiment.name} -> {config.target}")
@@ -87,6 +87,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "episodes": len(entries),
             "frames": sum(entry["frames"] for entry in entries),
             "results": entries,
+            "residuals": residuals,
         }
         if config.dry_run:
             write_json(config.json, result)
@@ -183,10 +184,11 @@ def _transfer_episodes(
     selected: list[int],
     transfer: Any,
     writer: "DatasetWriter | None",
-) -> list[dict[str, Any]]:
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Summaries for the table, and residuals frame by frame."""
     from cei_converters.progress import progress_bar
 
-    entries = []
+    entries, residuals = [], []
     with progress_bar("frames") as progress:
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
         transfer.fit([reader.read(index) for index in selected[:FIT_EPISODES]])
@@ -196,6 +198,8 @@ def _transfer_episodes(
             summary = report.summary()
             entry = {"episode": index, "frames": len(demonstration), **summary}
             entries.append(entry)
+            frames = {"pad_distance_mm": report.pad_distance_mm, "normal_angle_deg": report.normal_angle_deg}
+            residuals.append({"episode": index, **frames})
             if writer is not None:
                 if not config.allow_unreachable:
                     check_reached(config.target, [entry])
@@ -203,7 +207,7 @@ def _transfer_episodes(
                     demonstration, {**reader.record(index), "source_episode": index, "alignment": summary}
                 )
             progress.advance(task, len(demonstration))
-    return entries
+    return entries, residuals
 
 
 def main(args: list[str] | None = None) -> int:

@@ -16,7 +16,7 @@ class Picture:
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self._view = look_at("picture", (0.85, 0.75, 1.45), (-0.2, -0.02, 0.95), WIDTH, HEIGHT, 45.0)
+        self._view = look_at("picture", (0.80, 0.70, 1.35), (-0.18, -0.02, 0.98), WIDTH, HEIGHT, 40.0)
         self._camera = DepthCamera(model, (self._view,))
         self._colours = geom_colours(model)
 

@@ -1,0 +1,52 @@
+SHELL := /bin/sh
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+PYTHON_ENV := .venv/bin/python
+ENVIRONMENT := .venv/.installed
+PYTEST_ARGS ?=
+
+.PHONY: help setup demo test check format type build benchmark lock clean
+
+help: ## List the targets (the default)
+	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1 # \2/p' $(MAKEFILE_LIST) | awk -F' # ' '{ printf "%-18s %s\n", $$1, $$2 }'
+
+setup: $(ENVIRONMENT) ## Install everything into .venv, once (PYTHON=... picks the interpreter)
+
+$(ENVIRONMENT): requirements.lock pyproject.toml envs/pyproject.toml scripts/environment
+	@scripts/environment .venv --editable . --editable envs
+	@touch $@
+
+demo: setup ## Move a skill between two robots and show it: outputs/demo/report.html
+	@$(PYTHON_ENV) -m cei_converters.demo
+
+test: setup ## Run the tests (PYTEST_ARGS="-k word" picks some)
+	@$(PYTHON_ENV) -m pytest -n 2 --dist loadfile $(PYTEST_ARGS) tests
+
+check: setup ## Check format, lint and types; changes nothing
+	@.venv/bin/ruff format --check --quiet .
+	@.venv/bin/ruff check --quiet .
+	@$(MAKE) --no-print-directory type
+
+format: setup ## Format the code and fix what the linter can
+	@.venv/bin/ruff check --fix --quiet . || true
+	@.venv/bin/ruff format .
+
+type: setup ## Check types
+	@.venv/bin/pyright
+
+build: setup ## Build the wheels and sdists of both distributions into dist/
+	@rm -rf dist
+	@$(PYTHON_ENV) -m build --no-isolation --outdir dist . >/dev/null
+	@$(PYTHON_ENV) -m build --no-isolation --outdir dist envs >/dev/null
+	@ls dist/*
+
+benchmark: setup ## Run every benchmark
+	@for file in benchmarks/*.py; do echo "== $$file"; $(PYTHON_ENV) "$$file" || exit; done
+
+lock: ## Bring requirements.lock up to the pyprojects (LOCK_ARGS=--upgrade for newer versions)
+	@scripts/lock $(LOCK_ARGS)
+
+clean: ## Remove what the other targets made, but not .venv
+	@rm -rf build dist outputs .pytest_cache .ruff_cache .hypothesis .coverage htmlcov
+	@find . -name __pycache__ -type d -not -path './.venv/*' -prune -exec rm -rf {} +

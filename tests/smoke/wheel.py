@@ -1,0 +1,47 @@
+"""Use the installed wheels, outside the source tree: `.ci/run` runs it in a fresh environment. Not a pytest module."""
+
+import subprocess
+import sys
+from importlib.metadata import distribution
+from pathlib import Path
+
+COMMANDS = ("cei-record", "cei-convert", "cei-replay", "cei-pads")
+
+
+def main() -> None:
+    import gymnasium as gym
+
+    import cei_converters
+    import cei_envs
+    import cei_gym
+    from cei_gym.embodiment import embodiment_names, load_embodiment
+
+    site = Path(sys.prefix).resolve()
+    for package in (cei_gym, cei_converters, cei_envs):
+        location = Path(package.__file__).resolve()
+        assert location.is_relative_to(site), f"{package.__name__} comes from {location}, not from its wheel"
+    print(f"imports: cei-gym {distribution('cei-gym').version}, cei-envs {distribution('cei-envs').version}")
+
+    names = embodiment_names()
+    for name in names:
+        load_embodiment(name)
+    print(f"catalogue: {len(names)} embodiments load")
+
+    env = gym.make("CEI-PickCube-IIWA-Inspire")
+    _, info = env.reset(seed=0)
+    observation, _, _, _, info = env.step(env.action_space.sample())
+    assert env.observation_space.contains(observation), "the observation is outside its space"
+    assert "is_success" in info
+    env.close()
+    print("environment: steps")
+
+    for command in COMMANDS:
+        path = Path(sys.executable).with_name(command)
+        done = subprocess.run([path, "--help"], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{command} --help exits {done.returncode}: {done.stderr}"
+        assert "usage" in done.stdout.lower(), f"{command} --help prints no usage"
+        print(f"{command} --help: works")
+
+
+if __name__ == "__main__":
+    main()
