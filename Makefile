@@ -6,6 +6,9 @@ PYTHON_ENV := .venv/bin/python
 ENVIRONMENT := .venv/.installed
 PYTEST_ARGS ?=
 
+# Python may cache what it compiles: importing everything anew takes 14 s a process.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: help setup demo test check format type build benchmark lock clean
 
 help: ## List the targets (the default)

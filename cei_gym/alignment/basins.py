@@ -34,9 +34,9 @@ class InitialisationOptions:
         seed: of the random starts.
     """
 
-    starts: int = 192
+    starts: int = 256
     iterations: int = 20
-    basins: int = 16
+    basins: int = 32
     seed: int = 0
 
 

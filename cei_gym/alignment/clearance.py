@@ -5,6 +5,7 @@ import numpy as np
 
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
 from cei_gym.embodiment.meshes import collision_geoms, link_mesh
+from cei_gym.kinematics import KinematicTree
 
 _HULL_VERTICES = 64
 
@@ -23,8 +24,9 @@ class Clearance:
         self._model, self._support_z = embodiment.model, support_z_base_m
         names = embodiment.body_names
         self._hand = np.array([n.startswith(END_EFFECTOR_PREFIX) for n in names])
+        moving = KinematicTree(embodiment).arrays.body_joint >= 0
         self._hulls = []
-        for body in np.flatnonzero(self._hand):
+        for body in np.flatnonzero(moving | self._hand):
             mesh = link_mesh(self._model, collision_geoms(self._model, body))
             if mesh is not None:
                 vertices = mesh.convex_hull.vertices

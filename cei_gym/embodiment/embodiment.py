@@ -1,6 +1,7 @@
 """An embodiment: arm x end-effector, compiled by MuJoCo, with its independent joints named and bounded."""
 
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
 
@@ -126,6 +127,8 @@ def build_embodiment(
         if flange is None:
             raise unknown(f"mount_body of {arm.name}", arm.mount_body, [b.name for b in spec.bodies])
         couplings |= description.couplings
+        if arm.inertia_groups:
+            spec.compiler.inertiagrouprange = arm.inertia_groups
     else:
         spec = mujoco.MjSpec()
         flange = spec.worldbody
@@ -155,10 +158,18 @@ def _attach(flange: mujoco.MjsBody, spec: EndEffectorSpec, description: Descript
     root = hand.body(spec.root_body) if spec.root_body else hand.worldbody.first_body()
     if root is None:
         raise unknown(f"root_body of {spec.name}", spec.root_body, [b.name for b in hand.bodies])
-    if spec.mount_pos_m:
+    disabled = {e.kind for e in spec.physics if not e.enabled}
+    if spec.mount_pos_m and "mount" not in disabled:
         root.pos = spec.mount_pos_m
-    if spec.mount_quat_wxyz:
+    if spec.mount_quat_wxyz and "mount" not in disabled:
         root.quat = spec.mount_quat_wxyz
+    for exception in spec.physics:
+        if exception.enabled and exception.kind == "geom_mass":
+            for geom in hand.geoms:
+                if fnmatch(geom.name, exception.parameters["geoms"]):
+                    geom.mass = exception.parameters["mass_kg"]
+    if spec.inertia_groups:
+        hand.compiler.inertiagrouprange = spec.inertia_groups
     flange.add_frame().attach_body(root, END_EFFECTOR_PREFIX, "")
 
 

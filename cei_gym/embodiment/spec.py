@@ -54,7 +54,8 @@ class PhysicsException:
     """A departure from the physics that the simulator ships, with its reason.
 
     Attributes:
-        kind: what is changed; the simulator's package knows the kinds.
+        kind: what is changed. "mount" (the mount below instead of the description's own) and "geom_mass" concern the
+            body and hold everywhere; the simulator's package knows the others.
         reason: why, in one sentence; printed in every report.
         enabled: the switch.
         parameters: numbers and names that the kind needs.
@@ -68,12 +69,20 @@ class PhysicsException:
 
 @dataclass(frozen=True)
 class ArmSpec:
-    """An arm: description, flange and home pose (rad)."""
+    """An arm: description, flange and home pose (rad).
+
+    Attributes:
+        mount_body: the flange.
+        inertia_groups: first and last group of the geoms that have mass, where the description leaves that to the file
+            that includes it.
+        simulator_name: the simulator's name for it, if it differs.
+    """
 
     name: str
     description: str
     mount_body: str
     home: dict[str, float]
+    inertia_groups: list[int] = field(default_factory=list)
     simulator_name: str = ""
     physics: list[PhysicsException] = field(default_factory=list)
 
@@ -85,6 +94,7 @@ class EndEffectorSpec:
     Attributes:
         root_body: subtree to attach; empty means the description's first body.
         angle: "radian" or "degree" where the description does not say (MJCF then means degrees).
+        inertia_groups: as for an arm.
         mount_pos_m, mount_quat_wxyz: pose of the root body on the flange; empty keeps the description's own.
         home: rest pose of independent joints (others 0); joints that move no pad stay there.
         closed: closed pose of independent joints; home to closed tells which side of a finger is palmar.
@@ -98,6 +108,7 @@ class EndEffectorSpec:
     closed: dict[str, float] = field(default_factory=dict)
     root_body: str = ""
     angle: str = ""
+    inertia_groups: list[int] = field(default_factory=list)
     mount_pos_m: list[float] = field(default_factory=list)
     mount_quat_wxyz: list[float] = field(default_factory=list)
     couplings: dict[str, Coupling] = field(default_factory=dict)

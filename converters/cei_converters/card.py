@@ -25,7 +25,7 @@ def source_license(root: Path) -> str | None:
     if not path.is_file():
         return None
     try:
-        return DatasetCard.load(path, ignore_metadata_errors=True).data.license
+        return DatasetCard.load(path, ignore_metadata_errors=True).data.get("license")
     except ValueError:  # a broken card is the source's affair
         return None
 
