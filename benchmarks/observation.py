@@ -55,9 +55,7 @@ def main() -> None:
     for width, height in ((160, 120), (320, 240)):
         print(f"{width}x{height}")
         camera = camera_from_mujoco(model, data, "sideview", width, height)
-        depth_m, geom_id = report("depth and ids", partial(DepthCamera(model, [camera]).render, data))[
-            camera.name
-        ]
+        depth_m, geom_id = report("depth and ids", partial(DepthCamera(model, [camera]).render, data))[camera.name]
         points_world = report("unproject", partial(unproject, depth_m, camera))
         inside = report(f"crop {len(points_world)}", partial(crop, points_world, WORKSPACE_WORLD))
         cropped = points_world[inside]

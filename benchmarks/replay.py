@@ -49,7 +49,11 @@ def main() -> None:
         path = args.results / f"PickCube-{target}.json"
         if not path.exists():
             cell = run_cell(source, target, work)
-            cell |= {"seeds": [args.seed, args.seed + args.episodes - 1], "commit": git_commit(), "versions": versions(["cei-gym", "lerobot", "mujoco", "robosuite", "numpy"])}
+            cell |= {
+                "seeds": [args.seed, args.seed + args.episodes - 1],
+                "commit": git_commit(),
+                "versions": versions(["cei-gym", "lerobot", "mujoco", "robosuite", "numpy"]),
+            }
             path.write_text(json.dumps(plain(cell), indent=1) + "\n")
     write_table(args.results)
 
@@ -61,9 +65,9 @@ def run_cell(source: DatasetConfig, target: str, work: Path) -> dict:
     else:
         dataset = DatasetConfig(f"cei/pick_cube_{target}", str(work / target))
         shutil.rmtree(work / target, ignore_errors=True)  # left by a run that was stopped
-        quality = convert(
-            ConvertConfig(source, target, dataset.repo_id, dataset.root, allow_unreachable=True)
-        )["results"]
+        quality = convert(ConvertConfig(source, target, dataset.repo_id, dataset.root, allow_unreachable=True))[
+            "results"
+        ]
     result = replay(ReplayConfig(dataset, video_episodes=0))
     hand, arm = load_embodiment(target).end_effector, load_embodiment(target).arm
     physics = [p for part in (arm, hand) for p in part.physics if p.enabled]

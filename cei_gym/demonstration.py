@@ -76,9 +76,7 @@ class Demonstration:
         if len(self.qpos) == 0:
             raise CEIError(f"{where} has no frames; drop it with --episodes or record it again.")
         if self.qpos.shape != self.action.shape:
-            raise CEIError(
-                f"{where}: state {self.qpos.shape} and action {self.action.shape} differ in shape."
-            )
+            raise CEIError(f"{where}: state {self.qpos.shape} and action {self.action.shape} differ in shape.")
         for name, values in (("state", self.qpos), ("action", self.action)):
             bad = np.argwhere(~np.isfinite(values))
             if len(bad):

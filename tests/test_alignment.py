@@ -148,9 +148,7 @@ def test_newton_is_at_least_as_good_as_the_paper(name: str, problems: dict) -> N
     problem = problems[name]
     points, normals = panda_grasp(3)
     options = SolverOptions(paper=PaperOptions(steps=80))
-    candidates = find_basins(
-        problem, options, points[0], normals[0], InitialisationOptions(starts=48, basins=1)
-    )
+    candidates = find_basins(problem, options, points[0], normals[0], InitialisationOptions(starts=48, basins=1))
     tracks = {}
     for backend in ("newton", "paper"):
         solver = make_solver(problem, replace(options, backend=backend))
@@ -217,9 +215,7 @@ def test_a_source_that_stands_still_is_followed_by_standing_still(problems: dict
     problem = problems["IIWA-Inspire"]
     points, normals = (np.repeat(x[:1], 16, axis=0) for x in panda_grasp(1))
     solver = NewtonSolver(problem, SolverOptions())
-    basins = find_basins(
-        problem, SolverOptions(), points[0], normals[0], InitialisationOptions(starts=32, basins=1)
-    )
+    basins = find_basins(problem, SolverOptions(), points[0], normals[0], InitialisationOptions(starts=32, basins=1))
     settled = solver.track(points[:1], normals[:1], basins[0], 200).u[0]
     track = solver.track(points, normals, settled)
     assert np.abs(np.diff(track.u, axis=0)).max() < 0.03
@@ -229,9 +225,7 @@ def test_a_source_that_stands_still_is_followed_by_standing_still(problems: dict
 def test_the_temporal_weight_shrinks_steps(problems: dict) -> None:
     problem = problems["IIWA-Inspire"]
     points, normals = panda_grasp(10)
-    u0 = find_basins(
-        problem, SolverOptions(), points[0], normals[0], InitialisationOptions(starts=32, basins=1)
-    )[0]
+    u0 = find_basins(problem, SolverOptions(), points[0], normals[0], InitialisationOptions(starts=32, basins=1))[0]
     steps, objective = [], []
     for weight in (0.0, 1e-2, 1.0):
         track = NewtonSolver(problem, SolverOptions(temporal_weight=weight)).track(points, normals, u0)
@@ -311,9 +305,7 @@ def test_judging_prefers_the_basin_that_stays_above_the_table(problems: dict) ->
     lowest = problem.place(u)[0][:, 2].min()
     flipped = u.copy()
     flipped[1] += 0.4  # leans down: the pads are elsewhere and the hand deeper
-    judged = judge_basins(
-        problem, SolverOptions(iterations=0), [trajectory], np.array([flipped, u]), lowest - 0.02
-    )
+    judged = judge_basins(problem, SolverOptions(iterations=0), [trajectory], np.array([flipped, u]), lowest - 0.02)
     np.testing.assert_array_equal(judged[0].u, u)
     assert judged[0].cost < judged[1].cost
     assert judged[0].objective == pytest.approx(-0.1)
@@ -410,9 +402,7 @@ def test_a_source_out_of_reach_is_reported(problems: dict) -> None:
     problem = problems["UR5e-RobotiqThreeFinger"]
     points, normals = panda_grasp(5)
     points[3:] += [1.0, 0.0, 0.5]
-    u0 = find_basins(
-        problem, SolverOptions(), points[0], normals[0], InitialisationOptions(starts=32, basins=1)
-    )[0]
+    u0 = find_basins(problem, SolverOptions(), points[0], normals[0], InitialisationOptions(starts=32, basins=1))[0]
     track = NewtonSolver(problem, SolverOptions()).track(points, normals, u0)
     report = make_report(problem, points, normals, track, 0.05, 30.0)
     assert report.unreachable_frames == [3, 4]

@@ -118,9 +118,7 @@ def edit_column(root: Path, key: str, edit: Callable[[np.ndarray], object]) -> N
     values = np.stack(table[key].to_numpy()).astype(np.float32)
     edit(values)
     place = table.column_names.index(key)
-    column = pa.FixedSizeListArray.from_arrays(values.ravel(), values.shape[1]).cast(
-        table.schema.field(place).type
-    )
+    column = pa.FixedSizeListArray.from_arrays(values.ravel(), values.shape[1]).cast(table.schema.field(place).type)
     pq.write_table(table.set_column(place, table.schema.field(place), column), root / DATA)
 
 
@@ -141,9 +139,7 @@ def test_a_good_dataset_converts(main: Callable, root: Path, tmp_path: Path, cap
         f"--target={TARGET}",
         "--new_repo_id=me/out",
     ]
-    code = main(
-        [*args, f"--new_root={out}", "--json=result.json", "--allow_unreachable", "--transfer.steps=3"]
-    )
+    code = main([*args, f"--new_root={out}", "--json=result.json", "--allow_unreachable", "--transfer.steps=3"])
     assert code == 0, capsys.readouterr().err
     assert "Wrote 2 episodes" in capsys.readouterr().out
     result = json.loads((tmp_path / "result.json").read_text())
@@ -159,9 +155,7 @@ def test_a_good_dataset_converts(main: Callable, root: Path, tmp_path: Path, cap
 
 
 @pytest.mark.parametrize("flag", [["--dry_run"], ["--dry_run=true"], ["--dry_run", "true"]])
-def test_dry_run_writes_nothing(
-    main: Callable, root: Path, tmp_path: Path, capsys: Any, flag: list[str]
-) -> None:
+def test_dry_run_writes_nothing(main: Callable, root: Path, tmp_path: Path, capsys: Any, flag: list[str]) -> None:
     before = sorted(tmp_path.rglob("*"))
     args = ["--dataset.repo_id=me/pick", f"--dataset.root={root}", f"--target={TARGET}", "--episodes=[0]"]
     assert main([*args, *flag]) == 0
@@ -177,9 +171,7 @@ def test_help_shows_an_example(main: Callable, capsys: Any) -> None:
 
 
 def test_options(refuse: Callable) -> None:
-    assert "unknown option '--targett'. Did you mean '--target'? Valid: --dataset.repo_id" in refuse(
-        targett="x"
-    )
+    assert "unknown option '--targett'. Did you mean '--target'? Valid: --dataset.repo_id" in refuse(targett="x")
     assert "--target is required" in refuse(target=None)
     assert "--dataset.repo_id is required" in refuse(dataset__repo_id=None)
     assert "--dry_run: Couldn't parse 'maybe' into a bool" in refuse(dry_run="maybe")
@@ -228,9 +220,7 @@ def test_other_versions(refuse: Callable, root: Path, version: str) -> None:
     edit_json(root / "meta/info.json", lambda info: info.update(codebase_version=version))
     message = refuse()
     assert version in message
-    assert ("lerobot.scripts.convert_dataset_v21_to_v30 --repo-id=me/pick --root=" in message) == (
-        version < "v3"
-    )
+    assert ("lerobot.scripts.convert_dataset_v21_to_v30 --repo-id=me/pick --root=" in message) == (version < "v3")
 
 
 def test_missing_metadata(refuse: Callable, root: Path) -> None:
@@ -306,9 +296,7 @@ def test_values(refuse: Callable, root: Path) -> None:
         values[5, 3] = -135.0
 
     edit_column(root, "observation.state", degrees)
-    assert "episode 1, frame 1, joint joint4: observation.state is -135 rad" in (
-        message := refuse(episodes="1")
-    )
+    assert "episode 1, frame 1, joint joint4: observation.state is -135 rad" in (message := refuse(episodes="1"))
     assert "looks like degrees; convert to rad" in message
 
     def nan(values: np.ndarray) -> None:
@@ -336,9 +324,7 @@ def test_corrupt_files(refuse: Callable, root: Path) -> None:
     assert "meta/info.json cannot be read" in refuse()
 
 
-def test_interrupt_leaves_nothing(
-    main: Callable, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupt_leaves_nothing(main: Callable, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 

@@ -232,9 +232,7 @@ def test_layout_is_arm_then_end_effector(arm: str, end_effector: str) -> None:
     assert embodiment.joint_names[embodiment.n_arm :] == alone.joint_names
     assert (embodiment.home >= embodiment.lower).all()
     assert (embodiment.home <= embodiment.upper).all()
-    assert set(embodiment.joint_units[embodiment.n_arm :]) == {
-        "m" if end_effector == "PandaGripper" else "rad"
-    }
+    assert set(embodiment.joint_units[embodiment.n_arm :]) == {"m" if end_effector == "PandaGripper" else "rad"}
 
 
 # -- the simulation ------------------------------------------------------------------------------------------
@@ -267,9 +265,7 @@ def test_link_poses_agree_with_the_simulation(simulated: tuple[Embodiment, Simul
                 theirs = "robot0_" + name
             pose = simulation.data.body(theirs)
             np.testing.assert_allclose(T_world_links[body, :3, 3], pose.xpos, atol=1e-6, err_msg=name)
-            np.testing.assert_allclose(
-                T_world_links[body, :3, :3], pose.xmat.reshape(3, 3), atol=1e-6, err_msg=name
-            )
+            np.testing.assert_allclose(T_world_links[body, :3, :3], pose.xmat.reshape(3, 3), atol=1e-6, err_msg=name)
             compared += 1
     assert compared > 3 * len(embodiment.joint_names)
 
@@ -381,9 +377,7 @@ def test_third_party_urdf(spec: EndEffectorSpec, independent: int, moving: int, 
     qpos = random_qpos(embodiment, 3)
     expected = mujoco_poses(embodiment.model, qpos)
     np.testing.assert_allclose(KinematicTree(embodiment).forward(qpos), expected, atol=1e-9)
-    np.testing.assert_allclose(
-        TorchChain(embodiment).forward(torch.tensor(qpos)).numpy(), expected, atol=1e-9
-    )
+    np.testing.assert_allclose(TorchChain(embodiment).forward(torch.tensor(qpos)).numpy(), expected, atol=1e-9)
     if arm and spec.root_body:
         root, flange = (embodiment.model.body(n).id for n in ("ee/" + spec.root_body, "right_hand"))
         assert embodiment.model.body_parentid[root] == flange
@@ -436,9 +430,7 @@ def test_unknown_link_lists_the_valid_ones() -> None:
 def test_an_entity_bomb_is_refused(tmp_path: Path) -> None:
     lol = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 9))
     path = tmp_path / "bomb.urdf"
-    path.write_text(
-        f'<!DOCTYPE robot [<!ENTITY l0 "lol">{lol}]><robot name="x"><link name="base"/><a>&l8;</a></robot>'
-    )
+    path.write_text(f'<!DOCTYPE robot [<!ENTITY l0 "lol">{lol}]><robot name="x"><link name="base"/><a>&l8;</a></robot>')
     with pytest.raises(CEIError, match="entities are not allowed"):
         build_embodiment(ArmSpec("Arm", str(path), "base", {}), None)
 
@@ -446,16 +438,12 @@ def test_an_entity_bomb_is_refused(tmp_path: Path) -> None:
 def test_an_external_entity_is_not_read(tmp_path: Path) -> None:
     (tmp_path / "secret").write_text("secret")
     path = tmp_path / "arm.xml"
-    path.write_text(
-        f'<!DOCTYPE m [<!ENTITY x SYSTEM "{(tmp_path / "secret").as_uri()}">]><mujoco model="&x;"/>'
-    )
+    path.write_text(f'<!DOCTYPE m [<!ENTITY x SYSTEM "{(tmp_path / "secret").as_uri()}">]><mujoco model="&x;"/>')
     with pytest.raises(CEIError, match="entities are not allowed"):
         build_embodiment(ArmSpec("Arm", str(path), "base", {}), None)
 
 
-@pytest.mark.parametrize(
-    "uri", ["../outside.stl", "file:///etc/passwd", "/etc/passwd", "package://arm/../../x.stl"]
-)
+@pytest.mark.parametrize("uri", ["../outside.stl", "file:///etc/passwd", "/etc/passwd", "package://arm/../../x.stl"])
 def test_a_mesh_outside_the_folder_is_refused(tmp_path: Path, uri: str) -> None:
     (tmp_path / "outside.stl").write_text("solid x\nendsolid x\n")
     folder = tmp_path / "arm"
@@ -487,9 +475,7 @@ def test_an_mjcf_cannot_reach_outside_its_folder(tmp_path: Path, asset: str) -> 
     folder.mkdir()
     geom = '<geom type="mesh" mesh="m"/>' if "mesh" in asset else ""
     (folder / "part.xml").write_text('<mujoco><asset><mesh name="m" file="../outside.stl"/></asset></mujoco>')
-    (folder / "arm.xml").write_text(
-        f'<mujoco>{asset}<worldbody><body name="base">{geom}</body></worldbody></mujoco>'
-    )
+    (folder / "arm.xml").write_text(f'<mujoco>{asset}<worldbody><body name="base">{geom}</body></worldbody></mujoco>')
     with pytest.raises(CEIError) as error:
         build_embodiment(ArmSpec("Arm", str(folder / "arm.xml"), "base", {}), None)
     assert "points outside its folder 'arm'" in one_line(error)

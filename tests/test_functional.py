@@ -260,9 +260,7 @@ def test_pads_face_each_other(hand: Callable, name: str) -> None:
     thumb = representation.body == embodiment.body_id(leads.body)
     sides = []
     for s in np.linspace(0, 0.9, 10):  # a hand's fingers pass its thumb at the end
-        points, normals = representation.place(
-            tree.forward((1 - s) * embodiment.home + s * embodiment.closed)
-        )
+        points, normals = representation.place(tree.forward((1 - s) * embodiment.home + s * embodiment.closed))
         mean = [normals[side].mean(0) for side in (thumb, ~thumb)]
         a, b = (n / np.linalg.norm(n) for n in mean)
         apart = points[~thumb].mean(0) - points[thumb].mean(0)
@@ -292,9 +290,7 @@ def test_extent_keeps_a_part_of_the_length() -> None:
     pad = Pad("r_index_distal", ["r_index_distal_col"])
     whole = pad_mesh(with_pads("Inspire", pad), pad).bounds[:, 1]  # the finger lies along y
     along = {
-        extent: sample_representation(
-            with_pads("Inspire", replace(pad, extent=list(extent))), 512
-        ).points_link[:, 1]
+        extent: sample_representation(with_pads("Inspire", replace(pad, extent=list(extent))), 512).points_link[:, 1]
         for extent in ((0.0, 1.0), (0.0, 0.5), (0.5, 1.0))
     }
     length = whole[1] - whole[0]
@@ -355,9 +351,7 @@ def test_pads_of_a_hand_nobody_catalogued(tmp_path: Path) -> None:
         f"{paddle.format(name='left', y=-0.05)}{paddle.format(name='right', y=0.05)}"
         "</body></worldbody></mujoco>"
     )
-    spec = EndEffectorSpec(
-        "Book", str(path), [Pad("left"), Pad("right")], closed={"left": -0.5, "right": 0.5}
-    )
+    spec = EndEffectorSpec("Book", str(path), [Pad("left"), Pad("right")], closed={"left": -0.5, "right": 0.5})
     representation = sample_representation(build_embodiment(None, spec), 40)
     # Turning by -0.5 about x moves the left paddle's points (z > 0) towards +y.
     side = np.where(representation.body == representation.body[0], 1.0, -1.0)

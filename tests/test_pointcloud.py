@@ -29,9 +29,7 @@ def distances(points: np.ndarray, mesh: trimesh.Trimesh) -> np.ndarray:
     return np.linalg.norm(nearest.reshape(count, -1, 3) - points, axis=-1).min(axis=0)
 
 
-def near_surface(
-    random: np.random.Generator, mesh: trimesh.Trimesh, count: int, reach_m: float
-) -> np.ndarray:
+def near_surface(random: np.random.Generator, mesh: trimesh.Trimesh, count: int, reach_m: float) -> np.ndarray:
     points, _ = trimesh.sample.sample_surface(mesh, count, seed=random)
     return points + random.uniform(-reach_m, reach_m, points.shape)
 
@@ -129,9 +127,7 @@ def test_thinning_spends_its_seed_and_survives_repeated_points():
 
 @settings(max_examples=50, deadline=None)
 @given(
-    points=st.lists(
-        st.tuples(*[st.floats(-2, 2) | st.sampled_from([np.nan, np.inf, -np.inf, 1.0])] * 3), max_size=20
-    )
+    points=st.lists(st.tuples(*[st.floats(-2, 2) | st.sampled_from([np.nan, np.inf, -np.inf, 1.0])] * 3), max_size=20)
 )
 def test_crop_keeps_the_box(points):
     points = np.array(points, dtype=np.float64).reshape(-1, 3)

@@ -45,9 +45,7 @@ class Clearance:
             depth = max(depth, self._self_depth(data), self._support_depth(data))
             mujoco.mj_fwdVelocity(self._model, data)
             if len(self._motor_joint):
-                share = max(
-                    share, float(np.max(np.abs(data.qfrc_bias[self._motor_joint]) / self._motor_limit))
-                )
+                share = max(share, float(np.max(np.abs(data.qfrc_bias[self._motor_joint]) / self._motor_limit)))
         return depth, share
 
     def _self_depth(self, data: mujoco.MjData) -> float:

@@ -151,16 +151,12 @@ def _derivatives(target, points, normals, lambda_m, out):
         j = out.match[i]
         joint = tree.body_joint[target.body[j]]
         if joint >= 0:
-            _add_match(
-                force, block, j, points[i], normals[i], 1.0 / len(points), lambda_m, origin, out, joint
-            )
+            _add_match(force, block, j, points[i], normals[i], 1.0 / len(points), lambda_m, origin, out, joint)
     for j in range(len(target.body)):
         i = out.match_back[j]
         joint = tree.body_joint[target.body[j]]
         if joint >= 0:
-            _add_match(
-                force, block, j, points[i], normals[i], 1.0 / len(target.body), lambda_m, origin, out, joint
-            )
+            _add_match(force, block, j, points[i], normals[i], 1.0 / len(target.body), lambda_m, origin, out, joint)
     gradient, hessian = np.zeros(len(target.lower)), np.zeros((len(target.lower), len(target.lower)))
     screw = np.zeros((joints, 6))
     for k in range(joints):
@@ -318,7 +314,5 @@ class NewtonSolver:
         """DCD, gradient (m,) and majoriser's Hessian (m, m) at one frame, for inspection and tests."""
         points, normals = np.ascontiguousarray(points_base, float), np.ascontiguousarray(normals_base, float)
         out = _buffers(self._target, len(points))
-        dcd = _evaluate(
-            self._target, points, normals, self.options.lambda_m, np.ascontiguousarray(u, float), out
-        )
+        dcd = _evaluate(self._target, points, normals, self.options.lambda_m, np.ascontiguousarray(u, float), out)
         return dcd, *_derivatives(self._target, points, normals, self.options.lambda_m, out)

@@ -28,9 +28,7 @@ class PaperSolver:
         points, normals = self._tensor(points_base), self._tensor(normals_base)
         u, us, objectives, spent = self._tensor(u0), [], [], []
         for t in range(len(points)):
-            u, objective, steps = self._frame(
-                points[t], normals[t], u, iterations or self.options.paper.steps
-            )
+            u, objective, steps = self._frame(points[t], normals[t], u, iterations or self.options.paper.steps)
             us.append(u.cpu().numpy())
             objectives.append(objective)
             spent.append(steps)
@@ -40,8 +38,9 @@ class PaperSolver:
         o = self.options.paper
         u = u0.clone().requires_grad_(True)
         adam = torch.optim.Adam([u], lr=o.learning_rate)
-        best, best_u, since, step = np.inf, u0, 0, 0
-        for step in range(1, steps + 1):
+        best, best_u, since, spent = np.inf, u0, 0, 0
+        while spent < steps and since < o.patience:
+            spent += 1
             adam.zero_grad()
             over = torch.relu(u - self._upper) + torch.relu(self._lower - u)
             loss = self._dcd(points, normals, u) + o.limit_weight * over.square().sum()
@@ -51,13 +50,11 @@ class PaperSolver:
                 best, best_u, since = value, u.detach().clone(), 0
             else:
                 since += 1
-                if since >= o.patience:
-                    break
             adam.step()
         # The penalty only discourages: limits are respected at every frame.
         best_u = torch.minimum(torch.maximum(best_u, self._lower), self._upper)
         with torch.no_grad():
-            return best_u, float(self._dcd(points, normals, best_u)), step
+            return best_u, float(self._dcd(points, normals, best_u)), spent
 
     def _dcd(self, points, normals, u):
         qpos = (self._A @ u + self._b)[None]

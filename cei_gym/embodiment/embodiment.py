@@ -136,9 +136,7 @@ def build_embodiment(
         description = load_description(*resolve(end_effector.description, relative_to))
         _attach(flange, end_effector, description)
         couplings |= {
-            END_EFFECTOR_PREFIX + name: Coupling(
-                END_EFFECTOR_PREFIX + c.joint, c.scale, c.offset, c.ignore_limits
-            )
+            END_EFFECTOR_PREFIX + name: Coupling(END_EFFECTOR_PREFIX + c.joint, c.scale, c.offset, c.ignore_limits)
             for name, c in (description.couplings | end_effector.couplings).items()
         }
     name = "-".join(part.name for part in (arm, end_effector) if part is not None)
@@ -194,9 +192,7 @@ def _from_model(
         raise CEIError(f"{name}: arm and end-effector share a joint name: {sorted(public)}.")
     is_hand = np.array([n.startswith(END_EFFECTOR_PREFIX) for n in names], bool)
     if np.any(np.diff(is_hand.astype(int)) < 0):
-        raise CEIError(
-            f"{name}: joints of arm and end-effector interleave; give the arm one chain to its mount_body."
-        )
+        raise CEIError(f"{name}: joints of arm and end-effector interleave; give the arm one chain to its mount_body.")
     limited = model.jnt_limited.astype(bool)
     lower = np.where(limited, model.jnt_range[:, 0], -CONTINUOUS_LIMIT_RAD)
     upper = np.where(limited, model.jnt_range[:, 1], CONTINUOUS_LIMIT_RAD)
@@ -254,9 +250,7 @@ def _couple(name: str, names: list[str], couplings: dict[str, Coupling]) -> Coup
             c = couplings[joint]
             scale[q], offset[q], joint = scale[q] * c.scale, offset[q] + scale[q] * c.offset, c.joint
             if joint in seen:
-                raise CEIError(
-                    f"{name}: couplings go round in a circle: {' -> '.join(map(_public, [*seen, joint]))}."
-                )
+                raise CEIError(f"{name}: couplings go round in a circle: {' -> '.join(map(_public, [*seen, joint]))}.")
             seen.append(joint)
         leader[q] = position[names.index(joint)]
     return Coupled(leader, scale, offset, np.array(independent, int))

@@ -9,9 +9,7 @@ from cei_gym.errors import CEIError
 from cei_gym.kinematics.tree import KinematicTree
 
 
-def palmar_directions(
-    embodiment: Embodiment, tree: KinematicTree, pad: Pad, points_link: np.ndarray
-) -> np.ndarray:
+def palmar_directions(embodiment: Embodiment, tree: KinematicTree, pad: Pad, points_link: np.ndarray) -> np.ndarray:
     """Unit directions that points of a pad's link move in when the end-effector closes: the palmar side leads.
 
     Args:
@@ -23,9 +21,7 @@ def palmar_directions(
     if pad.palmar != "auto":
         direction = np.asarray(pad.palmar, float)
         if direction.shape != (3,) or not np.linalg.norm(direction) > 0:
-            raise CEIError(
-                f"pad {pad.body!r} of {embodiment.name}: `palmar` is 'auto' or a direction of 3 numbers."
-            )
+            raise CEIError(f"pad {pad.body!r} of {embodiment.name}: `palmar` is 'auto' or a direction of 3 numbers.")
         return np.broadcast_to(direction / np.linalg.norm(direction), points_link.shape)
     body = embodiment.body_id(pad.body)
     closing = embodiment.closed - embodiment.home

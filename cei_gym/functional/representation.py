@@ -46,9 +46,7 @@ class FunctionalRepresentation:
         return points, np.einsum("...nij,nj->...ni", T[..., :3, :3], self.normals_link)
 
 
-def sample_representation(
-    embodiment: Embodiment, points: int = 64, seed: int = 0
-) -> FunctionalRepresentation:
+def sample_representation(embodiment: Embodiment, points: int = 64, seed: int = 0) -> FunctionalRepresentation:
     """Sample an embodiment's pads, area-uniform on each pad, seeded.
 
     Args:
@@ -61,9 +59,7 @@ def sample_representation(
     """
     spec = embodiment.end_effector
     if spec is None or not spec.pads:
-        raise CEIError(
-            f"{embodiment.name} has no finger pads; list them under `pads` in its end-effector's YAML."
-        )
+        raise CEIError(f"{embodiment.name} has no finger pads; list them under `pads` in its end-effector's YAML.")
     shares = np.array([pad.share for pad in spec.pads], float)
     ends = np.round(np.cumsum(shares) / shares.sum() * points).astype(int)
     counts = np.diff(ends, prepend=0)
@@ -72,9 +68,7 @@ def sample_representation(
         _sample_pad(embodiment, tree, pad, int(count), np.random.default_rng([seed, i]))
         for i, (pad, count) in enumerate(zip(spec.pads, counts, strict=True))
     ]
-    bodies = [
-        np.full(len(p), embodiment.body_id(pad.body)) for pad, (p, _) in zip(spec.pads, parts, strict=True)
-    ]
+    bodies = [np.full(len(p), embodiment.body_id(pad.body)) for pad, (p, _) in zip(spec.pads, parts, strict=True)]
     return FunctionalRepresentation(
         embodiment,
         np.concatenate(bodies),
@@ -93,9 +87,7 @@ def pad_mesh(embodiment: Embodiment, pad: Pad) -> trimesh.Trimesh:
     geoms = [available[g] for g in pad.geoms] or list(collision_geoms(model, body))
     mesh = link_mesh(model, geoms)
     if mesh is None:
-        raise CEIError(
-            f"pad {pad.body!r} of {embodiment.name}: the link has no collision geom; name its `geoms`."
-        )
+        raise CEIError(f"pad {pad.body!r} of {embodiment.name}: the link has no collision geom; name its `geoms`.")
     return mesh
 
 

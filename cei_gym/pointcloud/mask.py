@@ -30,9 +30,7 @@ class RobotMask:
             raise CEIError(f"the mask's threshold tau must be positive, not {tau_m} m.")
         self.tau_m = tau_m
         self._links = len(link_meshes)
-        self._grid = build(
-            [np.empty((0, 3, 3)) if mesh is None else mesh.triangles for mesh in link_meshes], tau_m
-        )
+        self._grid = build([np.empty((0, 3, 3)) if mesh is None else mesh.triangles for mesh in link_meshes], tau_m)
 
     def __call__(self, points_world: np.ndarray, T_world_links: np.ndarray) -> np.ndarray:
         """Which points are on the robot.

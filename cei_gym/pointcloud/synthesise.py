@@ -28,7 +28,13 @@ class CloudSynthesiser:
     """
 
     def __init__(
-        self, source: Embodiment, target: Embodiment, tau_m: float, robot_points: int, cloud_points: int, seed: int
+        self,
+        source: Embodiment,
+        target: Embodiment,
+        tau_m: float,
+        robot_points: int,
+        cloud_points: int,
+        seed: int,
     ) -> None:
         self._source, self._target = KinematicTree(source), KinematicTree(target)
         self._mask = RobotMask(visual_link_meshes(source.model), tau_m)

@@ -37,9 +37,7 @@ def look_at(
     forward = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
     right = np.cross(forward, np.asarray(up, dtype=np.float64))
     if np.linalg.norm(right) < 1e-9:
-        raise CEIError(
-            f"camera {name!r} looks along its own up direction; give another `up`, or another target."
-        )
+        raise CEIError(f"camera {name!r} looks along its own up direction; give another `up`, or another target.")
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
     T_world_camera = np.eye(4)
     T_world_camera[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
@@ -72,10 +70,7 @@ def camera_points(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
     """(H, W, 3) points in the camera's frame in metres, the origin where depth is 0."""
     v, u = np.indices(depth_m.shape)
     K = camera.K
-    return (
-        np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], axis=-1)
-        * depth_m[..., None]
-    )
+    return np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], axis=-1) * depth_m[..., None]
 
 
 def unproject(depth_m: np.ndarray, camera: Camera) -> np.ndarray:

@@ -44,9 +44,7 @@ def rasterise(
         count = vertex_range[g, 1] - first
         R = R_camera_geom[g]
         p = p_camera_geom[g]
-        if _outside(
-            _radius(vertices, caps, first, count, scale[g], shift[g]), p, intrinsics, near_m, id_image.shape
-        ):
+        if _outside(_radius(vertices, caps, first, count, scale[g], shift[g]), p, intrinsics, near_m, id_image.shape):
             continue
         for i in range(count):
             a = scale[g, 0] * vertices[first + i, 0]

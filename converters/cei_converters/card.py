@@ -74,9 +74,7 @@ def _introduction(repo_id: str, metadata: Metadata, info: dict) -> str:
 
 def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
     lines = [header, tuple("---" for _ in header), *rows]
-    return "\n".join(
-        "| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines
-    )
+    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
 def _quality(metadata: Metadata) -> str:
@@ -84,11 +82,7 @@ def _quality(metadata: Metadata) -> str:
     keys = dict.fromkeys(key for report in reports for key in report)
     rows = []
     for key in keys:
-        values = [
-            v
-            for report in reports
-            if isinstance(v := report.get(key), (int, float)) and not isinstance(v, bool)
-        ]
+        values = [v for report in reports if isinstance(v := report.get(key), (int, float)) and not isinstance(v, bool)]
         if values:
             rows.append((f"`{key}`", *(f"{f(values):.4g}" for f in (np.mean, np.min, np.max))))
     if not rows:

@@ -76,9 +76,7 @@ def decode_depth_m(column: Any, feature: dict, where: str) -> np.ndarray:
             depth = np.asarray(Image.open(io.BytesIO(cell["bytes"].as_py())))
             depth_m[frame] = depth
         except (UnidentifiedImageError, TypeError, ValueError, OSError) as error:
-            raise CEIError(
-                f"{where}: frame {frame} is no {width}x{height} depth image ({one_line(error)})."
-            ) from error
+            raise CEIError(f"{where}: frame {frame} is no {width}x{height} depth image ({one_line(error)}).") from error
         unit = unit or ("mm" if depth.dtype.kind == "u" else "m")  # LeRobot's rule
     if unit == "mm":
         depth_m /= MM_PER_M

@@ -203,9 +203,7 @@ def _transfer_episodes(
             if writer is not None:
                 if not config.allow_unreachable:
                     check_reached(config.target, [entry])
-                writer.add(
-                    demonstration, {**reader.record(index), "source_episode": index, "alignment": summary}
-                )
+                writer.add(demonstration, {**reader.record(index), "source_episode": index, "alignment": summary})
             progress.advance(task, len(demonstration))
     return entries, residuals
 

@@ -43,7 +43,9 @@ def main() -> None:
     episodes = tuple(DatasetReader(d.repo_id, d.root).read(0) for d in (source, target))
     embodiments = [load_embodiment(SOURCE), load_embodiment(TARGET)]
     write_report(FOLDER / "report.html", replays, conversion, episodes, embodiments, COMMANDS)
-    print(f"\nOpen {FOLDER / 'report.html'}: {replays[1]['successes']} of {EPISODES} transferred demonstrations lift the cube.")
+    print(
+        f"\nOpen {FOLDER / 'report.html'}: {replays[1]['successes']} of {EPISODES} transferred demonstrations lift the cube."
+    )
 
 
 if __name__ == "__main__":

@@ -55,6 +55,4 @@ def push(root: Path, repo_id: str, *, private: bool = False) -> None:
             api.delete_tag(repo_id, tag=CODEBASE_VERSION, repo_type="dataset")
         api.create_tag(repo_id, tag=CODEBASE_VERSION, repo_type="dataset")
     except (HfHubHTTPError, OSError) as error:
-        raise CEIError(
-            f"{repo_id} could not be uploaded ({one_line(error)}); the dataset is in {root}."
-        ) from error
+        raise CEIError(f"{repo_id} could not be uploaded ({one_line(error)}); the dataset is in {root}.") from error

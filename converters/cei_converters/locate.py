@@ -9,8 +9,7 @@ from cei_gym.errors import CEIError
 
 INFO_PATH = "meta/info.json"
 _V21_TO_V30 = (
-    "python -m lerobot.scripts.convert_dataset_v21_to_v30 "
-    "--repo-id={repo_id} --root={root} --push-to-hub=false"
+    "python -m lerobot.scripts.convert_dataset_v21_to_v30 --repo-id={repo_id} --root={root} --push-to-hub=false"
 )
 _V20_TO_V21 = "python -m lerobot.datasets.v21.convert_dataset_v20_to_v21 --repo-id={repo_id}"
 

@@ -129,9 +129,7 @@ def check_scene(scene: Scene, where: str) -> None:
     _check_pose(scene.T_world_base, f"{where}: scene.T_world_base")
     workspace = scene.workspace_world
     if workspace.shape != (2, 3) or not (workspace[0] < workspace[1]).all():
-        raise CEIError(
-            f"{where}: scene.workspace_world should be [[x, y, z] lower, [x, y, z] upper] in metres."
-        )
+        raise CEIError(f"{where}: scene.workspace_world should be [[x, y, z] lower, [x, y, z] upper] in metres.")
     names = [camera.name for camera in scene.cameras]
     if len(set(names)) != len(names):
         raise CEIError(f"{where}: two cameras share a name among {', '.join(names)}.")

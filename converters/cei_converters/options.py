@@ -16,9 +16,7 @@ def parse_episodes(text: str | None) -> list[int] | None:
     try:
         return [int(part) for part in text.strip().removeprefix("[").removesuffix("]").split(",")]
     except ValueError as error:
-        raise CEIError(
-            f"--episodes={text} is no list of episode indices; it should read like 0,3,5."
-        ) from error
+        raise CEIError(f"--episodes={text} is no list of episode indices; it should read like 0,3,5.") from error
 
 
 def parse_pose(text: str | None) -> np.ndarray | None:

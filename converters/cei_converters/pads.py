@@ -52,7 +52,9 @@ def draw(config: PadsConfig) -> None:
     picture = draw_representation(representation, (1 - share) * embodiment.home + share * embodiment.closed)
     output.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(picture).save(output)
-    links = {embodiment.body_names[b].split("/")[-1]: int(np.sum(representation.body == b)) for b in representation.body}
+    links = {
+        embodiment.body_names[b].split("/")[-1]: int(np.sum(representation.body == b)) for b in representation.body
+    }
     print(f"Wrote {output}: " + ", ".join(f"{count} points on {link}" for link, count in links.items()) + ".")
 
 

@@ -17,9 +17,7 @@ from cei_converters.metadata import Provenance, Source, plain
 PACKAGES = ("cei-gym", "cei-envs", "lerobot", "datasets", "mujoco", "robosuite", "torch", "numpy")
 
 
-def collect(
-    options: object, *, source: Source | None = None, pads: Mapping[str, Any] | None = None
-) -> Provenance:
+def collect(options: object, *, source: Source | None = None, pads: Mapping[str, Any] | None = None) -> Provenance:
     """Provenance of the running command.
 
     Args:

@@ -77,13 +77,9 @@ class DatasetReader:
         self._depth_keys = [key for key in features if key.startswith(schema.DEPTH_PREFIX)]
         for key in self._depth_keys:
             if key.removeprefix(schema.DEPTH_PREFIX) not in cameras:
-                raise CEIError(
-                    f"{key} has no calibration: {METADATA_PATH} lists {', '.join(cameras) or 'no camera'}."
-                )
+                raise CEIError(f"{key} has no calibration: {METADATA_PATH} lists {', '.join(cameras) or 'no camera'}.")
             if features[key]["dtype"] != "image":
-                raise CEIError(
-                    f"{key} is stored as {features[key]['dtype']}; depth should be lossless (dtype image)."
-                )
+                raise CEIError(f"{key} is stored as {features[key]['dtype']}; depth should be lossless (dtype image).")
         used = {schema.STATE, schema.ACTION, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._depth_keys}
         own = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
         self.ignored_features = [key for key in features if key not in used | own]
@@ -175,8 +171,7 @@ class DatasetReader:
             return pq.read_table(path, columns=columns, filters=[("episode_index", "==", index)])
         except (OSError, ValueError, KeyError) as error:  # pyarrow's errors are of these kinds
             raise CEIError(
-                f"episode {index}: {path} cannot be read ({one_line(error)}); "
-                "download or record the dataset again."
+                f"episode {index}: {path} cannot be read ({one_line(error)}); download or record the dataset again."
             ) from error
 
     def _check_values(self, values: np.ndarray, where: str, key: str) -> None:

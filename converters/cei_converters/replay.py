@@ -112,7 +112,9 @@ class _Stage:
         """Replay one episode: its result, and a picture a step if filmed."""
         episode, env = self.reader.read(index), self.env
         if episode.environment_state is None:
-            raise CEIError(f"episode {index} of {self.reader.repo_id} has no observation.environment_state to start from.")
+            raise CEIError(
+                f"episode {index} of {self.reader.repo_id} has no observation.environment_state to start from."
+            )
         start = {"environment_state": episode.environment_state[0], "agent_pos": episode.qpos[0]}
         _, info = env.reset(seed=index, options=start)
         pictures = [env.render()] if filmed else []

@@ -55,8 +55,7 @@ def check_joint_names(names: Sequence[str], embodiment: Embodiment, where: str) 
     expected = joint_feature_names(embodiment)
     if len(names) != len(expected):
         raise CEIError(
-            f"{where} has {len(names)} joints but {embodiment.name} has {len(expected)}: "
-            f"{', '.join(expected)}."
+            f"{where} has {len(names)} joints but {embodiment.name} has {len(expected)}: {', '.join(expected)}."
         )
     for position, (name, right) in enumerate(zip(names, expected, strict=True)):
         if name != right:

@@ -119,9 +119,7 @@ class DatasetWriter:
             if ours != theirs:
                 raise CEIError(f"{where}: {what} is {theirs} but the dataset's is {ours}.")
         if not _same_scene(first.scene, other.scene):
-            raise CEIError(
-                f"{where}: base, cameras or workspace differ from episode 0; use one dataset a scene."
-            )
+            raise CEIError(f"{where}: base, cameras or workspace differ from episode 0; use one dataset a scene.")
         theirs = schema.features(load_embodiment(other.embodiment), other)
         for key in sorted(self._features.keys() | theirs.keys()):
             expected, got = (found.get(key, {}).get("shape") for found in (self._features, theirs))

@@ -1,7 +1,6 @@
 """What every CEI environment shares: observation, absolute joint actions that wait, restorable starts, pictures."""
 
 from abc import abstractmethod
-from collections.abc import Callable
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -241,5 +240,3 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         success = self._is_success()
         reason = "unreachable" if self._stalled >= STALLED_STEPS else self.failure_reason()
         return {"is_success": success, "failure": "" if success else reason}
-
-

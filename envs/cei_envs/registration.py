@@ -27,5 +27,8 @@ def register() -> None:
         for name in embodiment_names():
             if environment_id(task, name) not in gym.registry:
                 gym.register(
-                    environment_id(task, name), entry_point, max_episode_steps=steps, kwargs={"embodiment": name}
+                    environment_id(task, name),
+                    entry_point,
+                    max_episode_steps=steps,
+                    kwargs={"embodiment": name},
                 )

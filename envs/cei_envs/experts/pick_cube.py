@@ -73,7 +73,9 @@ class PickCubeExpert:
         v, start = self.variation, np.asarray(agent_pos, float)
         to_base = np.linalg.inv(self._T_world_base)
         cube = to_base[:3, :3] @ environment_state[:3] + to_base[:3, 3]
-        cube_rotation = Rotation.from_matrix(to_base[:3, :3]) * Rotation.from_quat(environment_state[3:7], scalar_first=True)
+        cube_rotation = Rotation.from_matrix(to_base[:3, :3]) * Rotation.from_quat(
+            environment_state[3:7], scalar_first=True
+        )
         _, down = grip_pose(self._embodiment, self._embodiment.home)
         # A cube looks the same every quarter turn: take the one nearest to the hand's own heading.
         turn = (cube_rotation.as_euler("ZYX")[0] + np.pi / 4) % (np.pi / 2) - np.pi / 4

@@ -40,7 +40,11 @@ def grip_pose(embodiment: Embodiment, qpos: np.ndarray) -> tuple[np.ndarray, Rot
 
 
 def plan(
-    embodiment: Embodiment, start: np.ndarray, waypoints: Sequence[Waypoint], jitter_m: float, rng: np.random.Generator
+    embodiment: Embodiment,
+    start: np.ndarray,
+    waypoints: Sequence[Waypoint],
+    jitter_m: float,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """Joint targets that pass through the waypoints.
 
@@ -89,6 +93,8 @@ def _inverse_kinematics(embodiment: Embodiment, start, positions, rotations) -> 
             configuration.integrate_inplace(velocity, 0.5)
         error = np.linalg.norm(grip.compute_error(configuration)[:3])
         if error > _TOLERANCE_M:
-            raise CEIError(f"{embodiment.name}: the expert's waypoint {position.round(3)} m is {error * 1e3:.0f} mm out of reach.")
+            raise CEIError(
+                f"{embodiment.name}: the expert's waypoint {position.round(3)} m is {error * 1e3:.0f} mm out of reach."
+            )
         qpos.append(configuration.q.copy())
     return np.array(qpos)
