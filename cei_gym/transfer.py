@@ -161,7 +161,7 @@ class Transfer:
         clouds = []
         for t in range(len(demonstration)):
             depth = {name: images[t] for name, images in demonstration.depth_m.items()}
-            points = fuse_depth(scene, depth) if depth else recorded[t]
+            points = fuse_depth(scene, depth) if recorded is None or depth else recorded[t]
             clouds.append(
                 self._synthesise(
                     points, scene.workspace_world, demonstration.qpos[t], scene.T_world_base, qpos[t], base

@@ -27,7 +27,7 @@ class Clearance:
         moving = KinematicTree(embodiment).arrays.body_joint >= 0
         self._hulls = []
         for body in np.flatnonzero(moving | self._hand):
-            mesh = link_mesh(self._model, collision_geoms(self._model, body))
+            mesh = link_mesh(self._model, collision_geoms(self._model, int(body)))
             if mesh is not None:
                 vertices = mesh.convex_hull.vertices
                 self._hulls.append((body, vertices[:: max(1, len(vertices) // _HULL_VERTICES)]))

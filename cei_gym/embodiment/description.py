@@ -46,11 +46,14 @@ def load_description(path: Path, root: Path) -> Description:
 
 def _parse(path: Path) -> Element:
     try:
-        return safe_xml.parse(path).getroot()
+        tree = safe_xml.parse(path).getroot()
     except DefusedXmlException:
         raise CEIError(f"{path.name}: XML entities are not allowed in a robot description.") from None
     except safe_xml.ParseError as error:
         raise CEIError(f"{path.name}: not well-formed XML: {error}.") from None
+    if tree is None:
+        raise CEIError(f"{path.name}: no XML element in it.")
+    return tree
 
 
 def _load_mjcf(tree: Element, path: Path, root: Path) -> Description:

@@ -9,6 +9,7 @@ from cei_converters.reader import DatasetReader
 from cei_converters.record import RecordConfig, record
 from cei_converters.replay import ReplayConfig, SourceConfig, replay
 from cei_converters.report import write_report
+from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment
 
 SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
@@ -40,12 +41,16 @@ def main() -> None:
     print("4/4 replaying the target")
     beside = SourceConfig(source.repo_id, source.root)
     replays.append(replay(ReplayConfig(target, beside, video=str(FOLDER / "side_by_side.mp4"))))
-    episodes = tuple(DatasetReader(d.repo_id, d.root).read(0) for d in (source, target))
+    episodes = _first_episode(source), _first_episode(target)
     embodiments = [load_embodiment(SOURCE), load_embodiment(TARGET)]
     write_report(FOLDER / "report.html", replays, conversion, episodes, embodiments, COMMANDS)
     print(
         f"\nOpen {FOLDER / 'report.html'}: {replays[1]['successes']} of {EPISODES} transferred demonstrations lift the cube."
     )
+
+
+def _first_episode(dataset: DatasetConfig) -> Demonstration:
+    return DatasetReader(dataset.repo_id, dataset.root).read(0)
 
 
 if __name__ == "__main__":

@@ -123,6 +123,7 @@ def _residual_plot(conversion: dict[str, Any]) -> bytes:
 def _cloud_plot(episodes: tuple[Demonstration, Demonstration]) -> bytes:
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     for i, episode in enumerate(episodes):
+        assert episode.point_cloud_world is not None  # both have depth or a cloud
         cloud = episode.point_cloud_world[len(episode) * 2 // 3]
         axes = figure.add_subplot(1, 2, i + 1, projection="3d")
         axes.scatter(*cloud.T, s=3, c=cloud[:, 2], cmap="viridis")

@@ -48,12 +48,13 @@ def register_gripper(spec: EndEffectorSpec) -> str:
 
 
 def _apply(gripper: GripperModel, spec: EndEffectorSpec, exception: PhysicsException) -> None:
-    bodies = [b for b in gripper.worldbody.iter("body") if b.get("name")]
+    bodies = {b.get("name", ""): b for b in gripper.worldbody.iter("body") if b.get("name")}
     if exception.kind == "mount":
-        bodies[0].set("pos", _text(spec.mount_pos_m))
-        bodies[0].set("quat", _text(spec.mount_quat_wxyz))
+        root = next(iter(bodies.values()))
+        root.set("pos", _text(spec.mount_pos_m))
+        root.set("quat", _text(spec.mount_quat_wxyz))
     elif exception.kind == "no_self_contact":
-        for one, other in combinations([b.get("name") for b in bodies], 2):
+        for one, other in combinations(bodies, 2):
             gripper.contact.append(Element("exclude", body1=one, body2=other))
     elif exception.kind == "geom_mass":
         for geom in gripper.worldbody.iter("geom"):

@@ -1,6 +1,7 @@
 """A robosuite simulation of one embodiment: built, read and driven in the embodiment's own joint layout."""
 
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -8,7 +9,7 @@ import robosuite
 from robosuite.controllers import load_composite_controller_config
 
 from cei_envs.gripper import register_gripper
-from cei_gym.embodiment import Embodiment
+from cei_gym.embodiment import ArmSpec, Embodiment
 from cei_gym.errors import CEIError
 
 CONTROL_HZ = 20
@@ -22,13 +23,14 @@ class Simulation:
         make: builds the robosuite environment from its robot arguments.
     """
 
-    def __init__(self, embodiment: Embodiment, make: Callable[..., "robosuite.environments.base.MujocoEnv"]) -> None:
-        if embodiment.arm is None or embodiment.end_effector is None:
+    def __init__(self, embodiment: Embodiment, make: Callable[..., Any]) -> None:
+        arm_spec, hand_spec = embodiment.arm, embodiment.end_effector
+        if arm_spec is None or hand_spec is None:
             raise CEIError(f"{embodiment.name}: a simulation needs an arm and an end-effector.")
         self._env = make(
-            robots=embodiment.arm.simulator_name,
-            gripper_types=register_gripper(embodiment.end_effector),
-            controller_configs=_controllers(embodiment),
+            robots=arm_spec.simulator_name,
+            gripper_types=register_gripper(hand_spec),
+            controller_configs=_controllers(arm_spec),
             initialization_noise=None,
             control_freq=CONTROL_HZ,
             use_camera_obs=False,
@@ -89,9 +91,10 @@ class Simulation:
         self._env.close()
 
 
-def _controllers(embodiment: Embodiment) -> dict:
+def _controllers(arm: ArmSpec) -> dict[str, Any]:
     config = load_composite_controller_config(controller="BASIC")
-    parameters = next(e.parameters for e in embodiment.arm.physics if e.kind == "absolute_joint_control")
+    assert config is not None  # it ships with robosuite
+    parameters = next(e.parameters for e in arm.physics if e.kind == "absolute_joint_control")
     config["body_parts"] = {
         "right": {
             "type": "JOINT_POSITION",

@@ -1,0 +1,134 @@
+"""Which package may import which, what an import costs, and that no file names a registry."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = {
+    "cei_gym": ROOT / "cei_gym",
+    "cei_envs": ROOT / "envs/cei_envs",
+    "cei_converters": ROOT / "converters/cei_converters",
+}
+FORBIDDEN = {
+    "cei_gym": {"robosuite", "lerobot", "datasets", "cei_envs", "cei_converters"},
+    "cei_envs": {"lerobot", "datasets", "torch", "cei_converters"},
+    "cei_converters": {"robosuite", "mujoco"},
+}
+# The paper's own solver is the one part that needs torch: everything else works without.
+TORCH = {"cei_gym/alignment/paper.py", "cei_gym/kinematics/torch_chain.py"}
+
+
+def sources(package: str) -> list[Path]:
+    found = sorted(PACKAGES[package].rglob("*.py"))
+    assert found
+    return found
+
+
+def imports(path: Path, top_level: bool = False) -> set[str]:
+    """Dotted names that a file imports; with `top_level`, only those that importing the file imports."""
+    tree = ast.parse(path.read_text())
+    nodes = list(ast.walk(tree))
+    if top_level:
+        inside = {
+            id(child)
+            for node in nodes
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+            for child in ast.walk(node)
+        }
+        nodes = [node for node in nodes if id(node) not in inside]
+    names = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: imports are absolute"
+            names |= {node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return names
+
+
+def loaded(code: str) -> set[str]:
+    """Top-level modules of a fresh interpreter after some code."""
+    code += "\nimport sys; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=dict(os.environ))
+    assert result.returncode == 0, result.stderr
+    return set(result.stdout.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_keep_to_their_layer(package: str) -> None:
+    for path in sources(package):
+        tops = {name.partition(".")[0] for name in imports(path)}
+        assert not tops & FORBIDDEN[package], path
+
+
+def test_torch_is_only_where_the_papers_solver_needs_it() -> None:
+    users = {
+        path.relative_to(ROOT).as_posix()
+        for path in sources("cei_gym")
+        if {"torch", "pytorch_kinematics"} & {name.partition(".")[0] for name in imports(path)}
+    }
+    assert users <= TORCH
+    for path in sources("cei_gym"):
+        if path.relative_to(ROOT).as_posix() not in TORCH:
+            reached = imports(path, top_level=True)
+            assert not {"cei_gym.alignment.paper", "cei_gym.kinematics.torch_chain"} & reached, path
+
+
+def test_lower_parts_of_the_method_do_not_know_the_upper_ones() -> None:
+    layers = ["errors", "embodiment", "kinematics", "functional", "alignment", "transfer"]
+    for height, layer in enumerate(layers):
+        part = PACKAGES["cei_gym"] / layer
+        paths = sorted(part.rglob("*.py")) if part.is_dir() else [part.with_suffix(".py")]
+        above = {f"cei_gym.{name}" for name in layers[height + 1 :]}
+        for path in paths:
+            reached = {".".join(name.split(".")[:2]) for name in imports(path)}
+            assert not reached & above, path
+
+
+def test_robosuite_is_imported_only_by_the_environments_package() -> None:
+    for package in ("cei_gym", "cei_converters"):
+        for path in sources(package):
+            assert "import robosuite" not in path.read_text(), path
+
+
+@pytest.mark.parametrize(
+    ("code", "absent"),
+    [
+        ("import cei_gym", {"torch", "robosuite", "lerobot", "datasets", "mujoco", "numba", "trimesh"}),
+        ("import cei_envs", {"torch", "robosuite", "lerobot", "datasets", "mujoco", "numba", "trimesh"}),
+        ("import cei_gym.transfer", {"torch", "robosuite", "lerobot", "datasets", "pytorch_kinematics"}),
+    ],
+)
+def test_importing_does_not_load_what_it_does_not_need(code: str, absent: set[str]) -> None:
+    assert not loaded(code) & absent
+
+
+def test_either_package_may_be_imported_first() -> None:
+    for first in ("cei_envs", "cei_envs.simulation", "cei_gym.embodiment", "cei_envs.registration"):
+        code = f"import {first}, cei_gym, gymnasium; gymnasium.spec('CEI-PickCube-UR5e-Inspire')"
+        assert "cei_gym" in loaded(code)
+
+
+def test_no_file_names_a_registry_host() -> None:
+    hosts = re.compile(r"\b(?:files\.)?(?:pypi\.org|pythonhosted\.org|conda\.anaconda\.org|index-url)\b")
+    for package in PACKAGES.values():
+        for path in package.rglob("*"):
+            if path.suffix in {".py", ".yaml", ".toml", ".md", ".json"}:
+                assert not hosts.search(path.read_text()), path
+
+
+def test_no_package_reads_the_shared_folder_or_an_absolute_path() -> None:
+    for package in PACKAGES:
+        for path in sources(package):
+            strings = {
+                node.value
+                for node in ast.walk(ast.parse(path.read_text()))
+                if isinstance(node, ast.Constant) and isinstance(node.value, str)
+            }
+            assert not [s for s in strings if s.startswith(("/home", "/work", "/root", "../shared"))], path

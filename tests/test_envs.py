@@ -1,0 +1,477 @@
+"""The environments: contract, reproducibility, success, and what making one does not need."""
+
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import cei_gym
+from cei_envs import environment_id, environment_ids
+from cei_envs.environment import CEIEnv
+from cei_envs.experts import make_expert
+from cei_envs.gripper import KINDS, register_gripper
+from cei_gym.embodiment import (
+    ARMS,
+    END_EFFECTORS,
+    EndEffectorSpec,
+    PhysicsException,
+    embodiment_names,
+    load_arm,
+    load_end_effector,
+)
+from cei_gym.errors import CEIError
+
+NAMES = ["Panda-PandaGripper", "IIWA-Inspire", "UR5e-RobotiqThreeFinger"]
+EXPERT = "CEI-PickCube-Panda-PandaGripper"
+
+
+def make(name: str, **arguments) -> CEIEnv:
+    return gym.make(environment_id("PickCube", name), **arguments).unwrapped
+
+
+@pytest.fixture(scope="module")
+def envs() -> Iterator[dict[str, CEIEnv]]:
+    made = {name: make(name) for name in NAMES}
+    yield made
+    for env in made.values():
+        env.close()
+
+
+def wander(env: CEIEnv, steps: int = 5, seed: int = 0) -> np.ndarray:
+    """(steps, n) targets near home."""
+    rng = np.random.default_rng(seed)
+    body = env.embodiment
+    targets = body.home + np.cumsum(rng.uniform(-0.04, 0.04, (steps, len(body.home))), axis=0)
+    return np.clip(targets, body.lower, body.upper).astype(np.float32)
+
+
+def rollout(env: CEIEnv, actions: np.ndarray, **reset) -> list[dict[str, np.ndarray]]:
+    observations = [env.reset(**reset)[0]]
+    for action in actions:
+        observations.append(env.step(action)[0])
+    return observations
+
+
+def assert_same(one: list[dict[str, np.ndarray]], other: list[dict[str, np.ndarray]]) -> None:
+    for a, b in zip(one, other, strict=True):
+        for key in a:
+            np.testing.assert_array_equal(a[key], b[key], err_msg=key)
+
+
+def run_python(code: str, **environment: str) -> str:
+    """Standard output of a fresh interpreter."""
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **environment}
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+# -- registration --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", embodiment_names())
+def test_every_embodiment_has_an_environment(name: str) -> None:
+    assert environment_id("PickCube", name) == f"CEI-PickCube-{name}"
+    spec = gym.spec(environment_id("PickCube", name))
+    assert spec.kwargs["embodiment"] == name
+    assert spec.max_episode_steps == 400
+
+
+def test_all_environments_are_registered_once() -> None:
+    ids = environment_ids()
+    assert len(set(ids)) == len(ids) == len(ARMS) * len(END_EFFECTORS)
+    assert sorted(i for i in gym.registry if i.startswith("CEI-")) == sorted(ids)
+    assert cei_gym.__version__
+
+
+def test_the_prefixed_id_imports_and_makes() -> None:
+    code = """
+import gymnasium
+env = gymnasium.make("cei_gym:CEI-PickCube-IIWA-Inspire")
+observation, info = env.reset(seed=0)
+print(env.observation_space.contains(observation), env.unwrapped.embodiment.name)
+"""
+    assert run_python(code, MUJOCO_GL="disable").splitlines()[-1] == "True IIWA-Inspire"
+
+
+def test_making_an_environment_needs_neither_torch_nor_lerobot() -> None:
+    code = """
+import sys
+import cei_envs
+assert not {"robosuite", "mujoco"} & set(sys.modules)
+import gymnasium
+env = gymnasium.make(cei_envs.environment_ids()[0])
+env.reset(seed=0)
+env.step(env.unwrapped.embodiment.home)
+heavy = {"torch", "lerobot", "pytorch_kinematics", "datasets", "mink"}
+print("heavy:", sorted(heavy & set(sys.modules)))
+"""
+    assert run_python(code).splitlines()[-1] == "heavy: []"
+
+
+@pytest.mark.parametrize("name", ["IIWA-Inspir", "Inspire"])
+def test_an_unknown_embodiment_lists_the_valid_ones(name: str) -> None:
+    with pytest.raises(CEIError, match="Valid: UR5e-FourierRight, "):
+        gym.make(environment_id("PickCube", NAMES[0]), embodiment=name)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [({"max_hold_ticks": 0}, "max_hold_ticks is at least 1"), ({"render_mode": "human"}, "render_mode 'human'")],
+)
+@pytest.mark.filterwarnings("ignore:.*render.*:UserWarning")
+def test_arguments_are_checked(arguments: dict, message: str) -> None:
+    with pytest.raises(CEIError, match=message):
+        make(NAMES[0], **arguments)
+
+
+# -- contract ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.filterwarnings("ignore:.*normalized.*:UserWarning")
+@pytest.mark.filterwarnings("ignore:.*Box observation space .* infinity.*:UserWarning")
+@pytest.mark.filterwarnings("ignore:.*render.*:UserWarning")
+@pytest.mark.filterwarnings("error::UserWarning:gymnasium")
+def test_gymnasium_checks_the_environment(name: str, envs: dict[str, CEIEnv]) -> None:
+    check_env(envs[name], skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_observations(name: str, envs: dict[str, CEIEnv]) -> None:
+    env = envs[name]
+    observation, info = env.reset(seed=1)
+    assert env.observation_space.contains(observation)
+    assert observation["point_cloud"].shape == (1024, 3)
+    assert len(observation["environment_state"]) == len(env.state_names)
+    assert info == {"is_success": False, "failure": "never grasped"}
+    body = env.embodiment
+    assert np.abs(observation["agent_pos"] - body.home)[: body.n_arm].max() < 0.1
+    np.testing.assert_allclose(observation["agent_pos"][body.n_arm :], body.home[body.n_arm :], atol=1e-6)
+    # The cube is in the cloud: points within its box, as the state describes it.
+    x, y, z, *_, mass = observation["environment_state"]
+    half = observation["environment_state"][7:10]
+    near = np.linalg.norm(observation["point_cloud"] - [x, y, z], axis=1) < np.linalg.norm(half) + 1e-3
+    assert near.sum() > 10
+    assert mass == pytest.approx(1000 * 8 * half.prod(), rel=1e-5)
+
+
+def test_starts_are_spread_and_stand_on_the_table(envs: dict[str, CEIEnv]) -> None:
+    env = envs[NAMES[0]]
+    states = np.array([env.reset(seed=seed)[0]["environment_state"] for seed in range(12)])
+    assert np.abs(states[:, :2]).max() <= 0.1
+    assert (np.ptp(states[:, :2], axis=0) > 0.1).all()
+    np.testing.assert_allclose(states[:, 2], 0.8 + states[:, 9], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(states[:, 3:7], axis=1), 1, atol=1e-6)
+    assert np.ptp(states[:, 3]) > 0.3
+    half = states[:, 7:10]
+    assert (half >= 0.02).all()
+    assert (half <= 0.022).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_one_seed_gives_one_episode(name: str, envs: dict[str, CEIEnv]) -> None:
+    env, other = envs[name], make(name)
+    actions = wander(env)
+    first = rollout(env, actions, seed=3)
+    assert_same(first, rollout(other, actions, seed=3))
+    assert_same(first, rollout(env, actions, seed=3))  # whatever happened in between
+    different = rollout(env, actions, seed=4)
+    assert not np.array_equal(first[0]["environment_state"], different[0]["environment_state"])
+    assert not np.array_equal(first[0]["agent_pos"], different[0]["agent_pos"])
+    other.close()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_recorded_start_is_restored_exactly(name: str, envs: dict[str, CEIEnv]) -> None:
+    env = envs[name]
+    actions = wander(env, seed=1)
+    recorded = rollout(env, actions, seed=5)
+    start = {key: recorded[0][key] for key in ("environment_state", "agent_pos")}
+    rollout(env, wander(env, 2, seed=2), seed=6)
+    assert_same(rollout(env, actions, seed=7, options=start), recorded)
+    assert_same(rollout(env, actions, options=start), recorded)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_pickled_environment_goes_on_alike(name: str, envs: dict[str, CEIEnv]) -> None:
+    env = envs[name]
+    copy = pickle.loads(pickle.dumps(env))
+    actions = wander(env, 3)
+    assert_same(rollout(copy, actions, seed=2), rollout(env, actions, seed=2))
+    copy.close()
+
+
+def test_pickling_keeps_the_arguments() -> None:
+    env = make(NAMES[0], max_hold_ticks=2, image_width=40, image_height=30, render_mode="rgb_array")
+    copy = pickle.loads(pickle.dumps(env))
+    copy.reset(seed=0)
+    assert copy.depth_m()["front"].shape == (30, 40)
+    picture = copy.render()
+    assert (picture.shape, picture.dtype) == ((240, 320, 3), np.uint8)
+    assert picture.std() > 10
+    assert copy._max_hold_ticks == 2
+    env.close()
+    copy.close()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_actions_outside_limits_are_clipped(name: str, envs: dict[str, CEIEnv]) -> None:
+    env = envs[name]
+    body = env.embodiment
+    wild = np.where(np.arange(len(body.home)) < body.n_arm, body.home, 100.0)
+    at_limit = np.where(np.arange(len(body.home)) < body.n_arm, body.home, body.upper)
+    assert_same(rollout(env, wild[None], seed=0), rollout(env, at_limit[None], seed=0))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_step_waits_until_the_joints_are_there(name: str, envs: dict[str, CEIEnv]) -> None:
+    env = envs[name]
+    body = env.embodiment
+    env.reset(seed=0)
+    target = body.home.copy()
+    target[: body.n_arm] += 0.1
+    time = env._simulation.data.time
+    observation = env.step(target)[0]
+    assert 2 <= round((env._simulation.data.time - time) * 20) <= 5
+    assert np.abs(observation["agent_pos"] - target)[: body.n_arm].max() < 0.05
+    for _ in range(5):  # a target held long enough is reached to the tolerance
+        observation = env.step(target)[0]
+    assert np.abs(observation["agent_pos"] - target)[: body.n_arm].max() < 0.02
+    time = env._simulation.data.time
+    env.step(target)  # and one that is reached takes a single control period
+    assert round((env._simulation.data.time - time) * 20) == 1
+
+
+@pytest.mark.parametrize(
+    "action", [np.zeros(3), np.zeros((1, 9)), np.full(9, np.nan), np.where(np.arange(9) == 4, np.inf, 0), 0.0]
+)
+def test_actions_that_cannot_be_are_refused(action: np.ndarray, envs: dict[str, CEIEnv]) -> None:
+    env = envs[NAMES[0]]
+    env.reset(seed=0)
+    before = env._simulation.data.time
+    with pytest.raises(CEIError) as error:
+        env.step(action)
+    assert "is 9 finite joint targets" in str(error.value)
+    assert "\n" not in str(error.value)
+    assert env._simulation.data.time == before
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"state": np.zeros(11)}, "unknown reset option 'state'. Valid: environment_state, agent_pos."),
+        ({"environment_state": np.zeros(10)}, "'environment_state' is 11 finite numbers"),
+        ({"agent_pos": np.zeros(8)}, "'agent_pos' is 9 finite numbers"),
+        ({"agent_pos": np.full(9, np.nan)}, "'agent_pos' is 9 finite numbers"),
+    ],
+)
+def test_reset_options_are_checked(options: dict, message: str, envs: dict[str, CEIEnv]) -> None:
+    with pytest.raises(CEIError) as error:
+        envs[NAMES[0]].reset(options=options)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+# -- the task ------------------------------------------------------------------------------------------------
+
+
+class Episode:
+    """An expert's demonstration, and what physics said at every control period."""
+
+    def __init__(self, env: CEIEnv, seed: int) -> None:
+        observation, _ = env.reset(seed=seed)
+        self.start = observation
+        expert = make_expert("PickCube", env.embodiment, env.scene.T_world_base, seed)
+        self.actions = expert.plan(observation["agent_pos"], observation["environment_state"])
+        self.lift, self.rewards, self.info = play(env, self.actions)
+
+
+def play(env: CEIEnv, actions: np.ndarray) -> tuple[np.ndarray, list[float], dict]:
+    """Cube heights above the start after each step, rewards, last info; holds the last target for a while."""
+    start, lift, rewards, info = env._read_state()[2], [], [], {}
+    for action in [*actions, *[actions[-1]] * 20]:
+        observation, reward, terminated, _, info = env.step(action)
+        lift.append(observation["environment_state"][2] - start)
+        rewards.append(reward)
+        assert terminated == info["is_success"] == bool(reward)
+        if terminated:
+            break
+    return np.array(lift), rewards, info
+
+
+@pytest.fixture(scope="module")
+def episode(envs: dict[str, CEIEnv]) -> Episode:
+    return Episode(envs[NAMES[0]], 0)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_expert_lifts_the_cube(seed: int, envs: dict[str, CEIEnv]) -> None:
+    episode = Episode(envs[NAMES[0]], seed)
+    assert episode.info == {"is_success": True, "failure": ""}
+    assert episode.lift[-1] >= 0.05
+    assert episode.rewards[:-1] == [0.0] * (len(episode.rewards) - 1)
+    assert episode.rewards[-1] == 1.0
+
+
+def test_experts_differ_by_seed_and_repeat_by_seed(envs: dict[str, CEIEnv], episode: Episode) -> None:
+    env, start = envs[NAMES[0]], episode.start
+    plans = [
+        make_expert("PickCube", env.embodiment, env.scene.T_world_base, seed).plan(
+            start["agent_pos"], start["environment_state"]
+        )
+        for seed in (0, 0, 1)
+    ]
+    np.testing.assert_array_equal(plans[0], plans[1])
+    assert plans[0].shape != plans[2].shape or np.abs(plans[0] - plans[2]).max() > 0.01
+
+
+def test_a_target_without_an_expert_says_which_has_one(envs: dict[str, CEIEnv]) -> None:
+    env = envs["IIWA-Inspire"]
+    with pytest.raises(CEIError, match="no scripted expert for CEI-PickCube-IIWA-Inspire.*CEI-PickCube-Panda"):
+        make_expert("PickCube", env.embodiment, env.scene.T_world_base, 0)
+
+
+def test_the_expert_succeeds_again_from_its_restored_start(envs: dict[str, CEIEnv], episode: Episode) -> None:
+    env = envs[NAMES[0]]
+    start = {key: episode.start[key] for key in ("environment_state", "agent_pos")}
+    env.reset(seed=99, options=start)
+    lift, _, info = play(env, episode.actions)
+    assert info["is_success"]
+    np.testing.assert_array_equal(lift, episode.lift)
+
+
+def test_a_blind_replay_mostly_fails(envs: dict[str, CEIEnv], episode: Episode) -> None:
+    env = envs[NAMES[0]]
+    successes = []
+    for seed in range(10, 15):
+        env.reset(seed=seed)
+        successes.append(play(env, episode.actions)[2]["is_success"])
+    assert sum(successes) <= 1
+
+
+def test_a_cube_that_is_only_high_for_a_moment_is_no_success(envs: dict[str, CEIEnv]) -> None:
+    env = envs[NAMES[0]]
+    env.reset(seed=0)
+    env._simulation.data.qpos[env._cube_qpos][2] += 0.12  # falls for 0.16 s: high for three periods
+    mujoco.mj_forward(env.model, env._simulation.data)
+    infos = [env.step(env.embodiment.home)[4] for _ in range(12)]
+    assert not any(info["is_success"] for info in infos)
+    assert infos[-1]["failure"] == "dropped"
+
+
+def test_no_object_moves_without_contact(envs: dict[str, CEIEnv], episode: Episode) -> None:
+    """Before the first touch the cube rests; in the air only fingers touch it, and it is released when they open."""
+    env = envs[NAMES[0]]
+    start = {key: episode.start[key] for key in ("environment_state", "agent_pos")}
+    env.reset(options=start)
+    data, model, cube = env._simulation.data, env.model, env._cube
+
+    def touched_by() -> set[str]:
+        bodies = model.geom_bodyid[data.contact.geom]
+        pairs = bodies[(bodies == cube).any(axis=1)]
+        return {model.body(b).name for pair in pairs for b in pair if b != cube}
+
+    first = env._read_state()[:3]
+    for action in episode.actions:
+        terminated = env.step(action)[2]
+        by_robot = {name for name in touched_by() if name.startswith(("robot0_", "gripper0_"))}
+        position = env._read_state()[:3]
+        if not by_robot and env._highest < 0.01:
+            assert np.abs(position - first).max() < 1e-3
+        if position[2] > first[2] + 0.005:
+            assert by_robot
+            assert all("finger" in name for name in by_robot)
+        if terminated:
+            break
+    assert position[2] > first[2] + 0.05
+    opened = env._simulation.qpos
+    opened[env.embodiment.n_arm :] = env.embodiment.home[env.embodiment.n_arm :]
+    for _ in range(10):
+        env.step(opened)
+    assert env._read_state()[2] < first[2] + 0.01
+
+
+def test_a_cube_left_alone_stays(envs: dict[str, CEIEnv]) -> None:
+    for env in envs.values():
+        observation, _ = env.reset(seed=2)
+        before = observation["environment_state"]
+        for _ in range(10):
+            observation, _, _, _, info = env.step(env.embodiment.home)
+        np.testing.assert_allclose(observation["environment_state"], before, atol=1e-3)
+        assert info == {"is_success": False, "failure": "never grasped"}
+
+
+# -- physics exceptions --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", END_EFFECTORS)
+def test_physics_exceptions_are_known_and_have_a_reason(name: str) -> None:
+    spec = load_end_effector(name)
+    assert spec.physics
+    for exception in spec.physics:
+        assert exception.kind in KINDS
+        assert len(exception.reason.split()) > 4
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_arms_declare_how_they_are_controlled(name: str) -> None:
+    assert [e.kind for e in load_arm(name).physics] == ["absolute_joint_control"]
+
+
+def gripper(spec: EndEffectorSpec):
+    from robosuite.models.grippers import GRIPPER_MAPPING
+
+    return GRIPPER_MAPPING[register_gripper(spec)]()
+
+
+def without(spec: EndEffectorSpec, kind: str) -> EndEffectorSpec:
+    changed = [replace(e, enabled=e.enabled and e.kind != kind) for e in spec.physics]
+    return replace(spec, name=f"{spec.name}Without", physics=changed)
+
+
+def mass_kg(spec: EndEffectorSpec) -> float:
+    """As MuJoCo compiles it."""
+    return float(gripper(spec).get_model().body_subtreemass[0])
+
+
+def test_masses_of_the_right_fourier_hand_are_a_declared_exception() -> None:
+    spec = load_end_effector("FourierRight")
+    ours, stock = mass_kg(spec), mass_kg(without(spec, "geom_mass"))
+    assert ours < 2.0
+    assert stock > 4.0
+
+
+def test_contacts_within_a_hand_are_a_declared_exception() -> None:
+    spec = load_end_effector("RobotiqThreeFinger")
+    assert gripper(spec).get_model().nexclude > 20
+    assert gripper(without(spec, "no_self_contact")).get_model().nexclude < 20
+
+
+def test_the_mount_is_a_declared_exception() -> None:
+    spec = load_end_effector("Inspire")
+    quats = [gripper(s).get_model().body_quat[1] for s in (spec, without(spec, "mount"))]
+    np.testing.assert_allclose(quats[0], spec.mount_quat_wxyz, atol=1e-6)
+    assert abs(quats[0] @ quats[1]) < 0.99
+
+
+def test_an_unknown_exception_lists_the_known_ones() -> None:
+    spec = load_end_effector("Inspire")
+    spec = replace(spec, physics=[*spec.physics, PhysicsException("no_gravity", "because")])
+    with pytest.raises(CEIError, match="unknown physics exception of Inspire 'no_gravity'.*Valid: mount, "):
+        register_gripper(spec)
+
+
+def test_an_unknown_simulator_name_lists_the_known_ones() -> None:
+    spec = replace(load_end_effector("Inspire"), simulator_name="InspireHand")
+    with pytest.raises(CEIError, match="unknown simulator_name of Inspire 'InspireHand'"):
+        register_gripper(spec)
