@@ -24,7 +24,7 @@ demo: setup ## Move a skill between two robots and show it: outputs/demo/report.
 	@$(PYTHON_ENV) -m cei_converters.demo
 
 test: setup ## Run the tests (PYTEST_ARGS="-k word" picks some)
-	@$(PYTHON_ENV) -m pytest -n 2 --dist loadfile $(PYTEST_ARGS) tests
+	@OMP_NUM_THREADS=1 $(PYTHON_ENV) -m pytest -n 2 --dist worksteal $(PYTEST_ARGS) tests
 
 check: setup ## Check format, lint and types; changes nothing
 	@.venv/bin/ruff format --check --quiet .

@@ -24,6 +24,7 @@ from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud.synthesise import CloudSynthesiser, fuse_depth
 
 _FIRST_FRAME_ITERATIONS = 200
+_FINALISTS = 8
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,10 @@ class Transfer:
         candidates = find_basins(self.problem, self.options.solver, points[0], normals[0], self.options.init)
         scene = demonstrations[0].scene
         support_z = scene.workspace_world[0, 2] - self._base(demonstrations[0])[2, 3]
-        self.basins = judge_basins(self.problem, self.options.solver, trajectories, candidates, support_z)
+        # The first demonstration rules most candidates out; the rest decide among the few that are left.
+        few = judge_basins(self.problem, self.options.solver, trajectories[:1], candidates, support_z)[:_FINALISTS]
+        starts = np.array([basin.u for basin in few])
+        self.basins = judge_basins(self.problem, self.options.solver, trajectories, starts, support_z)
 
     def __call__(self, demonstration: Demonstration) -> tuple[Demonstration, AlignmentReport]:
         """Transfer one demonstration.

@@ -100,8 +100,8 @@ def test_robosuite_is_imported_only_by_the_environments_package() -> None:
 @pytest.mark.parametrize(
     ("code", "absent"),
     [
-        ("import cei_gym", {"torch", "robosuite", "lerobot", "datasets", "mujoco", "numba", "trimesh"}),
-        ("import cei_envs", {"torch", "robosuite", "lerobot", "datasets", "mujoco", "numba", "trimesh"}),
+        ("import cei_gym", {"torch", "robosuite", "lerobot", "datasets"}),
+        ("import cei_envs", {"torch", "robosuite", "lerobot", "datasets", "mujoco"}),
         ("import cei_gym.transfer", {"torch", "robosuite", "lerobot", "datasets", "pytorch_kinematics"}),
     ],
 )

@@ -16,7 +16,7 @@ from cei_gym.alignment.newton import NewtonSolver
 from cei_gym.alignment.problem import AlignmentProblem, SolverOptions, Track
 
 _SAME_BASIN_RAD = 0.15
-_PENETRATION_WEIGHT = 2.0  # metres of objective a metre of penetration
+_PENETRATION_WEIGHT = 1.0  # metres of objective a metre of penetration
 _TORQUE_WEIGHT = 0.05  # metres of objective for static torque a full limit above the allowed share
 _TORQUE_SHARE = 0.8
 _JUMP_WEIGHT = 0.05  # metres of objective a radian above the allowed step
@@ -145,5 +145,4 @@ def judge_basins(
         return Basin(u0, cost, objective, penetration, torque, step)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        judged = list(pool.map(judge, basins))
-    return sorted(judged, key=lambda b: b.cost)
+        return sorted(pool.map(judge, basins), key=lambda b: b.cost)

@@ -8,6 +8,7 @@ from cei_gym.embodiment.meshes import collision_geoms, link_mesh
 from cei_gym.kinematics import KinematicTree
 
 _HULL_VERTICES = 64
+_ARM_MARGIN_M = 0.02  # a hand may touch the table beside what it grasps; an arm has no business near it
 
 
 class Clearance:
@@ -30,7 +31,8 @@ class Clearance:
             mesh = link_mesh(self._model, collision_geoms(self._model, int(body)))
             if mesh is not None:
                 vertices = mesh.convex_hull.vertices
-                self._hulls.append((body, vertices[:: max(1, len(vertices) // _HULL_VERTICES)]))
+                margin = 0.0 if self._hand[body] else _ARM_MARGIN_M
+                self._hulls.append((body, vertices[:: max(1, len(vertices) // _HULL_VERTICES)], margin))
         driven = self._model.actuator_biasprm[:, 1] == 0
         self._motor_joint = self._model.actuator_trnid[driven, 0]
         self._motor_limit = self._model.actuator_ctrlrange[driven, 1]
@@ -56,12 +58,8 @@ class Clearance:
         return float(max(0.0, depth.max()))
 
     def _support_depth(self, data: mujoco.MjData) -> float:
-        lowest = (
-            min(
-                float((vertices @ data.xmat[body].reshape(3, 3)[2]).min() + data.xpos[body, 2])
-                for body, vertices in self._hulls
-            )
-            if self._hulls
-            else np.inf
-        )
-        return max(0.0, self._support_z - lowest)
+        depth = 0.0
+        for body, vertices, margin in self._hulls:
+            lowest = float((vertices @ data.xmat[body].reshape(3, 3)[2]).min() + data.xpos[body, 2])
+            depth = max(depth, self._support_z + margin - lowest)
+        return depth

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cei_converters.cli import DatasetConfig, run
 from cei_converters.options import parse_episodes, parse_pose
 from cei_converters.quality import check_reached, print_table
@@ -21,8 +23,8 @@ EXAMPLE = """example:
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa
   cei-convert --dataset.repo_id=me/pick_panda --dataset.root=data/pick_panda --target=IIWA-Inspire \\
       --episodes=0,3,5 --dry_run"""
-# the frame-0 basin is chosen on this many episodes: more take memory and change little
-FIT_EPISODES = 3
+# the frame-0 basin is chosen on this many episodes, spread over the dataset, however large it is
+FIT_EPISODES = 8
 
 
 @dataclass
@@ -191,7 +193,8 @@ def _transfer_episodes(
     entries, residuals = [], []
     with progress_bar("frames") as progress:
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
-        transfer.fit([reader.read(index) for index in selected[:FIT_EPISODES]])
+        spread = sorted({round(i) for i in np.linspace(0, len(selected) - 1, FIT_EPISODES)})
+        transfer.fit([replace(reader.read(selected[i]), depth_m={}) for i in spread])
         for index in selected:
             progress.update(task, description=f"episode {index}")
             demonstration, report = transfer(reader.read(index))

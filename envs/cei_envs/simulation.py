@@ -5,7 +5,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import robosuite
 from robosuite.controllers import load_composite_controller_config
 
 from cei_envs.gripper import register_gripper
