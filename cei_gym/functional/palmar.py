@@ -2,11 +2,14 @@
 
 import numpy as np
 import trimesh
+from numba import njit
 
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.spec import Pad
 from cei_gym.errors import CEIError
 from cei_gym.kinematics.tree import KinematicTree
+
+_GAP_M = 1e-4
 
 
 def palmar_directions(embodiment: Embodiment, tree: KinematicTree, pad: Pad, points_link: np.ndarray) -> np.ndarray:
@@ -55,3 +58,42 @@ def extent_mask(mesh: trimesh.Trimesh, extent: list[float], points_link: np.ndar
     along = mesh.vertices @ axis
     fraction = (points_link @ axis - along.min()) / np.ptp(along)
     return (fraction >= start) & (fraction <= end)
+
+
+def outer_mask(mesh: trimesh.Trimesh, points_link: np.ndarray, normals_link: np.ndarray) -> np.ndarray:
+    """Which points lie on the outside of a link: nothing of the link is above them, along their normals.
+
+    Finger meshes are hollow, and the inside of a finger's back has a palmar normal too.
+
+    Args:
+        mesh: the link's surface in its frame.
+        points_link, normals_link: (N, 3) m and unit.
+    """
+    triangles = np.ascontiguousarray(mesh.triangles, float)
+    return ~_covered(triangles, np.ascontiguousarray(points_link), np.ascontiguousarray(normals_link))
+
+
+@njit(cache=True, nogil=True)
+def _covered(triangles, origins, directions):
+    """Which rays meet a triangle farther than a gap from their origin (Moeller and Trumbore)."""
+    covered = np.zeros(len(origins), np.bool_)
+    for i in range(len(origins)):
+        dx, dy, dz = directions[i]
+        for k in range(len(triangles)):
+            corner, second, third = triangles[k, 0], triangles[k, 1], triangles[k, 2]
+            ax, ay, az = second[0] - corner[0], second[1] - corner[1], second[2] - corner[2]
+            bx, by, bz = third[0] - corner[0], third[1] - corner[1], third[2] - corner[2]
+            hx, hy, hz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
+            det = ax * hx + ay * hy + az * hz
+            if det == 0.0:
+                continue
+            sx, sy, sz = origins[i, 0] - corner[0], origins[i, 1] - corner[1], origins[i, 2] - corner[2]
+            u = (sx * hx + sy * hy + sz * hz) / det
+            if u < 0.0 or u > 1.0:
+                continue
+            qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
+            v = (dx * qx + dy * qy + dz * qz) / det
+            if v >= 0.0 and u + v <= 1.0 and (bx * qx + by * qy + bz * qz) / det > _GAP_M:
+                covered[i] = True
+                break
+    return covered

@@ -9,7 +9,7 @@ from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.meshes import collision_geoms, link_mesh
 from cei_gym.embodiment.spec import Pad
 from cei_gym.errors import CEIError, unknown
-from cei_gym.functional.palmar import extent_mask, palmar_directions
+from cei_gym.functional.palmar import extent_mask, outer_mask, palmar_directions
 from cei_gym.kinematics.tree import KinematicTree
 
 
@@ -101,9 +101,11 @@ def _sample_pad(embodiment: Embodiment, tree: KinematicTree, pad: Pad, count: in
         directions = palmar_directions(embodiment, tree, pad, points)
         keep = np.einsum("ij,ij->i", normals, directions) > pad.palmar_cosine
         keep &= extent_mask(mesh, pad.extent, points)
-        found_points.append(points[keep])
-        found_normals.append(normals[keep])
-        found += int(keep.sum())
+        points, normals = points[keep], normals[keep]
+        outer = outer_mask(mesh, points, normals)
+        found_points.append(points[outer])
+        found_normals.append(normals[outer])
+        found += int(outer.sum())
         if found >= count:
             return np.concatenate(found_points)[:count], np.concatenate(found_normals)[:count]
     raise CEIError(

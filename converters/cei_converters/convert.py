@@ -37,6 +37,7 @@ class ConvertConfig:
     new_root: str | None = None  # Its folder, which must not exist; default: LeRobot's cache.
     source: str | None = None  # Embodiment of a dataset that does not say it (no meta/cei.json).
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
+    target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
     allow_unreachable: bool = False  # Keep episodes in which the target cannot reach every frame.
@@ -56,7 +57,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         CEIError: bad options or data, or an episode that the target cannot reach.
     """
     selection = parse_episodes(config.episodes)
-    T_world_base = parse_pose(config.source_pose)
+    T_world_base = parse_pose("--source_pose", config.source_pose)
     _check_options(config)
 
     from cei_converters.provenance import fingerprint
@@ -74,7 +75,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         writer = None
         if not config.dry_run:
             writer = stack.enter_context(_writer(config, reader, fingerprint(reader.root)))
-        transfer = Transfer(reader.embodiment, load_embodiment(config.target), config.transfer)
+        pose = parse_pose("--target_pose", config.target_pose)
+        transfer = Transfer(reader.embodiment, load_embodiment(config.target), config.transfer, pose)
         entries, residuals = _transfer_episodes(config, reader, selected, transfer, writer)
         if writer is not None:
             writer.provenance = _with_choices(writer.provenance, transfer)
@@ -143,6 +145,7 @@ def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: 
     )
     options = {
         "target": config.target,
+        "target_pose": config.target_pose,
         "episodes": config.episodes,
         "allow_unreachable": config.allow_unreachable,
         "transfer": config.transfer,

@@ -19,7 +19,7 @@ def parse_episodes(text: str | None) -> list[int] | None:
         raise CEIError(f"--episodes={text} is no list of episode indices; it should read like 0,3,5.") from error
 
 
-def parse_pose(text: str | None) -> np.ndarray | None:
+def parse_pose(option: str, text: str | None) -> np.ndarray | None:
     """`x,y,z` or `x,y,z,qw,qx,qy,qz` -> (4, 4) transform, metres; None stays None.
 
     Raises:
@@ -36,5 +36,5 @@ def parse_pose(text: str | None) -> np.ndarray | None:
         if quaternion_wxyz:
             T[:3, :3] = Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix()
     except ValueError as error:
-        raise CEIError(f"--source_pose={text} should read x,y,z or x,y,z,qw,qx,qy,qz (metres).") from error
+        raise CEIError(f"{option}={text} should read x,y,z or x,y,z,qw,qx,qy,qz (metres).") from error
     return T

@@ -1,0 +1,211 @@
+"""The main job through the commands themselves: record, convert, replay, and what they leave behind."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cei_converters import convert, pads, record, replay
+from cei_converters.reader import DatasetReader
+from cei_gym.embodiment import load_embodiment
+
+SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
+EPISODES = 2
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a recorded and a converted dataset, their JSON results, and a replay."""
+    folder = tmp_path_factory.mktemp("job")
+    env = f"CEI-PickCube-{SOURCE}"
+    options = [f"--env={env}", f"--episodes={EPISODES}", "--seed=3", "--repo_id=me/source"]
+    assert record.main([*options, f"--root={folder / 'source'}", f"--json={folder / 'record.json'}"]) == 0
+    assert convert.main([*source_options(folder), *target_options(folder), f"--json={folder / 'convert.json'}"]) == 0
+    options = ["--dataset.repo_id=me/target", f"--dataset.root={folder / 'target'}", f"--json={folder / 'replay.json'}"]
+    beside = ["--source.repo_id=me/source", f"--source.root={folder / 'source'}"]
+    video = [f"--video={folder / 'film.mp4'}", "--video_episodes=1"]
+    assert replay.main([*options, *beside, *video]) == 0
+    return folder
+
+
+def source_options(folder: Path) -> list[str]:
+    return ["--dataset.repo_id=me/source", f"--dataset.root={folder / 'source'}"]
+
+
+def target_options(folder: Path, name: str = "target") -> list[str]:
+    return [f"--target={TARGET}", f"--new_repo_id=me/{name}", f"--new_root={folder / name}"]
+
+
+def result(job: Path, name: str) -> dict:
+    return json.loads((job / f"{name}.json").read_text())
+
+
+def test_the_transferred_demonstrations_lift_the_cube_in_physics(job: Path) -> None:
+    replayed = result(job, "replay")
+    assert replayed["episodes"] == len(replayed["results"]) == EPISODES
+    assert replayed["successes"] == EPISODES
+    assert replayed["env"] == f"CEI-PickCube-{TARGET}"
+
+
+def test_the_recorded_demonstrations_replay_to_the_frame(job: Path, tmp_path: Path) -> None:
+    options = [*source_options(job), "--video_episodes=0", f"--json={tmp_path / 'r.json'}"]
+    assert replay.main(options) == 0
+    replayed = json.loads((tmp_path / "r.json").read_text())
+    assert replayed["successes"] == EPISODES
+    assert [entry["steps"] for entry in replayed["results"]] == [entry["frames"] for entry in replayed["results"]]
+
+
+def test_states_and_actions_fit_the_target_and_its_limits(job: Path) -> None:
+    source, target = (DatasetReader(f"me/{n}", job / n) for n in ("source", "target"))
+    embodiment = load_embodiment(TARGET)
+    assert target.embodiment.name == TARGET
+    for i in range(EPISODES):
+        before, after = source.read(i), target.read(i)
+        assert len(before) == len(after)
+        for values in (after.qpos, after.action):
+            assert values.shape[1] == len(embodiment.joint_names)
+            assert np.all(values >= embodiment.lower - 1e-5)
+            assert np.all(values <= embodiment.upper + 1e-5)
+        assert after.environment_state is not None
+        np.testing.assert_array_equal(after.environment_state, before.environment_state)
+        assert after.point_cloud_world is not None
+        assert after.point_cloud_world.shape == (len(after), 1024, 3)
+
+
+def test_the_cube_stays_in_the_synthesised_cloud_and_the_source_robot_does_not(job: Path) -> None:
+    before, after = (
+        DatasetReader("me/source", job / "source").read(0),
+        DatasetReader("me/target", job / "target").read(0),
+    )
+    assert after.point_cloud_world is not None
+    assert before.environment_state is not None
+    cube = before.environment_state[0, :3]
+    near = np.linalg.norm(after.point_cloud_world[0] - cube, axis=1) < 0.04
+    assert near.sum() >= 5
+    assert after.depth_m == {}
+
+
+def test_stock_lerobot_reads_the_converted_dataset(job: Path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    dataset = LeRobotDataset("me/target", root=job / "target")
+    assert dataset.num_episodes == EPISODES
+    assert dataset.meta.robot_type == TARGET
+    sample = dataset[len(dataset) - 1]
+    assert sample["observation.point_cloud"].shape == (1024, 3)
+    assert set(dataset.meta.stats) >= {"observation.state", "action", "observation.point_cloud"}
+
+
+def test_metadata_and_card_say_how_it_was_made(job: Path) -> None:
+    metadata = json.loads((job / "target" / "meta" / "cei.json").read_text())
+    provenance = metadata["provenance"]
+    assert provenance["source"]["embodiment"] == SOURCE
+    assert set(provenance["pads"]) == {SOURCE, TARGET}
+    assert provenance["options"]["transfer"]["squeeze_m"] == pytest.approx(0.01)
+    assert provenance["options"]["basin"]["cost"] < 0
+    assert provenance["versions"]["lerobot"]
+    assert [r["seed"] for r in metadata["episodes"]] == [3, 4]
+    card = (job / "target" / "README.md").read_text()
+    assert "[More Information Needed]" not in card
+    assert "cross-embodiment" in card
+
+
+def test_film_and_contact_sheet_are_there(job: Path) -> None:
+    import av
+
+    with av.open(str(job / "film.mp4")) as film:
+        stream = film.streams.video[0]
+        assert (stream.width, stream.height) == (644, 240)
+        assert stream.frames > 20
+    assert (job / "film.png").stat().st_size > 10_000
+
+
+def test_nothing_is_overwritten(job: Path, capsys: pytest.CaptureFixture) -> None:
+    before = sorted((job / "target").rglob("*"))
+    assert convert.main([*source_options(job), *target_options(job)]) == 1
+    assert "already exists" in capsys.readouterr().err
+    env = f"--env=CEI-PickCube-{SOURCE}"
+    assert record.main([env, "--episodes=1", "--repo_id=me/source", f"--root={job / 'source'}"]) == 1
+    assert "already exists" in capsys.readouterr().err
+    assert sorted((job / "target").rglob("*")) == before
+
+
+def test_a_dry_run_writes_nothing(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    options = [*source_options(job), f"--target={TARGET}", "--episodes=1", "--dry_run", f"--json={tmp_path / 'c.json'}"]
+    assert convert.main(options) == 0
+    found = json.loads((tmp_path / "c.json").read_text())
+    assert found["episodes"] == 1
+    assert found["results"][0]["episode"] == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.json"]
+    assert "pad distance" in capsys.readouterr().out
+
+
+def test_conversion_is_deterministic(job: Path, tmp_path: Path) -> None:
+    assert convert.main([*source_options(job), *target_options(tmp_path, "again")]) == 0
+    one, other = DatasetReader("me/target", job / "target"), DatasetReader("me/again", tmp_path / "again")
+    for i in range(EPISODES):
+        a, b = one.read(i), other.read(i)
+        np.testing.assert_array_equal(a.qpos, b.qpos)
+        np.testing.assert_array_equal(a.action, b.action)
+        np.testing.assert_array_equal(a.point_cloud_world, b.point_cloud_world)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--env=CEI-PickCube-IIWA-Inspir", "--repo_id=me/x"], "Did you mean 'CEI-PickCube-IIWA-Inspire'?"),
+        (["--env=CEI-PickCube-IIWA-Inspire", "--repo_id=me/x"], "no scripted expert"),
+        (["--env=CEI-PickCube-Panda-PandaGripper", "--repo_id=me/x", "--episodes=0"], "at least 1"),
+    ],
+)
+def test_record_says_what_is_wrong_in_one_line(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert record.main([*options, f"--root={tmp_path / 'x'}"]) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_replay_refuses_another_robots_environment(job: Path, capsys: pytest.CaptureFixture) -> None:
+    options = [*source_options(job), f"--env=CEI-PickCube-{TARGET}", "--video_episodes=0"]
+    assert replay.main(options) == 1
+    assert f"is of {SOURCE}, but CEI-PickCube-{TARGET} has a {TARGET}" in capsys.readouterr().err
+
+
+def test_a_target_moved_out_of_reach_is_refused_with_its_frames(
+    job: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """A base a metre and a half farther away: the converter names the frames and leaves nothing."""
+    far = tmp_path / "far"
+    copy_with_base_shifted(job / "source", far, 1.5)
+    options = ["--dataset.repo_id=me/far", f"--dataset.root={far}", *target_options(tmp_path)]
+    pose = ["--target_pose=0,0,0.912"]
+    assert convert.main([*options, *pose]) == 1
+    error = capsys.readouterr().err
+    assert f"{TARGET} cannot reach episode 0: frames 0, 1" in error
+    assert not (tmp_path / "target").exists()
+
+
+def copy_with_base_shifted(source: Path, target: Path, metres: float) -> None:
+    import shutil
+
+    shutil.copytree(source, target)
+    path = target / "meta" / "cei.json"
+    metadata = json.loads(path.read_text())
+    metadata["scene"]["T_world_base"][0][3] += metres
+    path.write_text(json.dumps(metadata))
+
+
+@pytest.mark.parametrize("end_effector", ["Inspire", "PandaGripper"])
+def test_pads_draws_a_picture(end_effector: str, tmp_path: Path) -> None:
+    from PIL import Image
+
+    output = tmp_path / "pads.png"
+    assert pads.main([f"--end_effector={end_effector}", f"--output={output}"]) == 0
+    picture = np.asarray(Image.open(output)).astype(int)
+    saturation = picture.max(axis=2) - picture.min(axis=2)
+    assert (saturation > 120).sum() > 200  # coloured pads on a grey hand
+    assert pads.main([f"--end_effector={end_effector}", f"--output={output}"]) == 1
