@@ -40,8 +40,8 @@ type: setup ## Check types
 
 build: setup ## Build the wheels and sdists of both distributions into dist/
 	@rm -rf dist
-	@$(PYTHON_ENV) -m build --no-isolation --outdir dist . >/dev/null
-	@$(PYTHON_ENV) -m build --no-isolation --outdir dist envs >/dev/null
+	@$(PYTHON_ENV) -m build --quiet --no-isolation --outdir dist .
+	@$(PYTHON_ENV) -m build --quiet --no-isolation --outdir dist envs
 	@ls dist/*
 
 benchmark: setup ## Run every benchmark

@@ -25,6 +25,7 @@ from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance, sample_representation
 from cei_gym.functional.representation import pad_mesh
 from cei_gym.kinematics import KinematicTree
+from cei_gym.pointcloud.distance import square_distance
 
 Set = tuple[np.ndarray, np.ndarray]
 LAMBDAS = st.sampled_from([0.0, 0.05, 0.5])
@@ -170,10 +171,13 @@ def test_points_lie_on_the_pads_and_normals_point_outward(hand: Callable, name: 
         mine = representation.body == embodiment.body_id(pad.body)
         points, normals = representation.points_link[mine], representation.normals_link[mine]
         mesh = pad_mesh(embodiment, pad)
-        _, distance, face = trimesh.proximity.closest_point(mesh, points)
-        assert distance.max() < 1e-6
-        cosine = np.einsum("ij,ij->i", normals, mesh.face_normals[face])
-        assert np.mean(cosine > 0.99) > 0.8  # shells are thin: the closest face may be the other side
+        # trimesh's own closest_point is off by up to 0.14 mm on these meshes.
+        triangles = np.ascontiguousarray(mesh.triangles)
+        for point, normal in zip(points, normals, strict=True):
+            squares = np.array([square_distance(*point, triangles, i) for i in range(len(triangles))])
+            near = squares < 1e-12
+            assert near.any()
+            assert (mesh.face_normals[near] @ normal).max() > 0.999
         assert mesh.convex_hull.contains(points - 0.0005 * normals).mean() > 0.95
 
 

@@ -7,7 +7,7 @@ from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
 from cei_gym.embodiment.meshes import collision_geoms, link_mesh
 from cei_gym.kinematics import KinematicTree
 
-_HULL_VERTICES = 64
+_DIRECTIONS = 128
 _ARM_MARGIN_M = 0.02  # a hand may touch the table beside what it grasps; an arm has no business near it
 
 
@@ -26,13 +26,17 @@ class Clearance:
         names = embodiment.body_names
         self._hand = np.array([n.startswith(END_EFFECTOR_PREFIX) for n in names])
         moving = KinematicTree(embodiment).arrays.body_joint >= 0
-        self._hulls = []
+        bodies, vertices, margins = [], [], []
         for body in np.flatnonzero(moving | self._hand):
             mesh = link_mesh(self._model, collision_geoms(self._model, int(body)))
             if mesh is not None:
-                vertices = mesh.convex_hull.vertices
-                margin = 0.0 if self._hand[body] else _ARM_MARGIN_M
-                self._hulls.append((body, vertices[:: max(1, len(vertices) // _HULL_VERTICES)], margin))
+                extremes = _extreme_points(np.asarray(mesh.vertices))
+                vertices.append(extremes)
+                bodies.append(np.full(len(extremes), body))
+                margins.append(np.full(len(extremes), 0.0 if self._hand[body] else _ARM_MARGIN_M))
+        self._vertices = np.concatenate(vertices) if vertices else np.zeros((0, 3))
+        self._bodies = np.concatenate(bodies) if bodies else np.zeros(0, int)
+        self._margins = np.concatenate(margins) if margins else np.zeros(0)
         driven = self._model.actuator_biasprm[:, 1] == 0
         self._motor_joint = self._model.actuator_trnid[driven, 0]
         self._motor_limit = self._model.actuator_ctrlrange[driven, 1]
@@ -58,8 +62,14 @@ class Clearance:
         return float(max(0.0, depth.max()))
 
     def _support_depth(self, data: mujoco.MjData) -> float:
-        depth = 0.0
-        for body, vertices, margin in self._hulls:
-            lowest = float((vertices @ data.xmat[body].reshape(3, 3)[2]).min() + data.xpos[body, 2])
-            depth = max(depth, self._support_z + margin - lowest)
-        return depth
+        up = data.xmat.reshape(-1, 3, 3)[self._bodies, 2]
+        height = np.einsum("vi,vi->v", up, self._vertices) + data.xpos[self._bodies, 2]
+        return float(np.max(self._support_z + self._margins - height, initial=0.0))
+
+
+def _extreme_points(vertices: np.ndarray) -> np.ndarray:
+    """The vertices (V, 3) that lie farthest out in evenly spread directions: enough to tell which touches a plane."""
+    i = np.arange(_DIRECTIONS) + 0.5
+    polar, turn = np.arccos(1 - 2 * i / _DIRECTIONS), np.pi * (1 + 5**0.5) * i
+    directions = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
+    return vertices[np.unique((vertices @ directions.T).argmax(axis=0))]
