@@ -2,7 +2,7 @@
 
 Importing it registers with Gymnasium the environments of every installed package that offers some (the entry point group
 `cei_gym.environments`), so `import cei_gym; gym.make("CEI-PickCube-IIWA-Inspire")` works, and so does
-`gym.make("cei_gym:CEI-PickCube-IIWA-Inspire")`. Nothing heavy is imported.
+`gym.make("cei_gym:CEI-PickCube-IIWA-Inspire")`. Neither torch, the simulator nor LeRobot is imported.
 """
 
 from importlib.metadata import entry_points, version

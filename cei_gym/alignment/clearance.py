@@ -37,7 +37,8 @@ class Clearance:
         self._vertices = np.concatenate(vertices) if vertices else np.zeros((0, 3))
         self._bodies = np.concatenate(bodies) if bodies else np.zeros(0, int)
         self._margins = np.concatenate(margins) if margins else np.zeros(0)
-        driven = self._model.actuator_biasprm[:, 1] == 0
+        # Torque motors with a stated range; position servos state none.
+        driven = (self._model.actuator_biasprm[:, 1] == 0) & (self._model.actuator_ctrlrange[:, 1] > 0)
         self._motor_joint = self._model.actuator_trnid[driven, 0]
         self._motor_limit = self._model.actuator_ctrlrange[driven, 1]
 

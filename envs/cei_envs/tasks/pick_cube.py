@@ -14,7 +14,7 @@ HALF_SIZE_M = (0.020, 0.022)
 DENSITY_KG_M3 = 1000.0
 LIFTED_M = 0.05
 OFF_TABLE_M = 0.01
-HELD_TICKS = 10
+HELD_TICKS = 20
 
 
 class PickCubeEnv(CEIEnv):
@@ -47,7 +47,7 @@ class PickCubeEnv(CEIEnv):
 
     ### Reward, success and end
     Reward is 1 on success, else 0. Success (`info["is_success"]`, which also terminates): the cube has been at least 5 cm
-    above its start for 10 control periods in a row. `info["failure"]` says why not yet: never grasped, slipped, dropped,
+    above its start for 20 control periods (1 s) in a row. `info["failure"]` says why not yet: never grasped, slipped, dropped,
     unreachable (the arm kept falling short of its targets), timed out. Truncated after 400 steps.
 
     ### Start
