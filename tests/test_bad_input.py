@@ -2,11 +2,8 @@
 
 import json
 import shutil
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -24,44 +21,14 @@ ROBOT, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
 DATA = "data/chunk-000/file-000.parquet"
 
 
-@dataclass
-class FakeOptions:
-    steps: int = 10
-
-
-@dataclass
-class FakeReport:
-    unreachable_frames: list[int]
-
-    def summary(self) -> dict[str, Any]:
-        return {"pad_distance_mm_mean": 0.5, "unreachable_frames": self.unreachable_frames}
-
-
-class FakeTransfer:
-    """Keeps the arm still; cannot reach frame 2 of episode 1."""
-
-    def __init__(self, source: object, target: Any, options: object) -> None:
-        self.target = target
-
-    def fit(self, demonstrations: list[Demonstration]) -> None:
-        assert demonstrations
-
-    def __call__(self, demonstration: Demonstration) -> tuple[Demonstration, FakeReport]:
-        qpos = np.tile(self.target.home, (len(demonstration), 1))
-        moved = replace(demonstration, embodiment=self.target.name, qpos=qpos, action=qpos, depth_m={})
-        return moved, FakeReport([2] if demonstration.index == 1 else [])
-
-
 @pytest.fixture
 def main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[str]], int]:
-    module = ModuleType("cei_gym.transfer")
-    module.Transfer, module.TransferOptions = FakeTransfer, FakeOptions
-    monkeypatch.setitem(sys.modules, "cei_gym.transfer", module)
+    from cei_converters import convert
+
     monkeypatch.delenv("HF_TOKEN", raising=False)
     monkeypatch.chdir(tmp_path)
-    from cei_converters.convert import main
-
-    return main
+    # One start is enough for input that is refused, and for episodes that stand still.
+    return lambda args: convert.main([*args, "--transfer.init.starts=8", "--transfer.init.basins=1"])
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +41,10 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     depth_m = {"front": np.ones((4, 8, 8), np.float32)}
     root = tmp_path_factory.mktemp("good") / "pick"
     with DatasetWriter("me/pick", root) as writer:
-        for _ in range(2):
-            writer.add(Demonstration(ROBOT, 20.0, qpos, qpos, scene, depth_m=depth_m))
+        writer.add(Demonstration(ROBOT, 20.0, qpos, qpos, scene, depth_m=depth_m))
+        qpos = qpos.copy()
+        qpos[2, 0] += 0.5  # a jump, which a solver with few iterations cannot follow
+        writer.add(Demonstration(ROBOT, 20.0, qpos, qpos, scene, depth_m=depth_m))
     return root
 
 
@@ -139,19 +108,19 @@ def test_a_good_dataset_converts(main: Callable, root: Path, tmp_path: Path, cap
         f"--target={TARGET}",
         "--new_repo_id=me/out",
     ]
-    code = main([*args, f"--new_root={out}", "--json=result.json", "--allow_unreachable", "--transfer.steps=3"])
+    code = main([*args, f"--new_root={out}", "--json=result.json", "--allow_unreachable", "--transfer.points=32"])
     assert code == 0, capsys.readouterr().err
     assert "Wrote 2 episodes" in capsys.readouterr().out
     result = json.loads((tmp_path / "result.json").read_text())
     assert (result["episodes"], [entry["episode"] for entry in result["results"]]) == (2, [0, 1])
     reader = DatasetReader("me/out", out)
     assert reader.embodiment.name == TARGET
-    assert reader.record(1) == {
-        "source_episode": 1,
-        "alignment": {"pad_distance_mm_mean": 0.5, "unreachable_frames": [2]},
+    assert reader.record(1)["source_episode"] == 1
+    assert reader.record(1)["alignment"] == {
+        k: v for k, v in result["results"][1].items() if k not in ("episode", "frames")
     }
     assert reader.metadata.provenance.source.fingerprint.startswith("sha256:")
-    assert reader.metadata.provenance.options["transfer"] == {"steps": 3}
+    assert reader.metadata.provenance.options["transfer"]["points"] == 32
 
 
 @pytest.mark.parametrize("flag", [["--dry_run"], ["--dry_run=true"], ["--dry_run", "true"]])
@@ -166,7 +135,7 @@ def test_dry_run_writes_nothing(main: Callable, root: Path, tmp_path: Path, caps
 def test_help_shows_an_example(main: Callable, capsys: Any) -> None:
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
-    for part in ("cei-convert --dataset.repo_id=", "--transfer.steps", "Embodiment to convert to"):
+    for part in ("cei-convert --dataset.repo_id=", "--transfer.points", "Embodiment to convert to"):
         assert part in text
 
 
@@ -197,8 +166,9 @@ def test_episodes(refuse: Callable) -> None:
 
 
 def test_unreachable_episode(refuse: Callable) -> None:
-    assert "IIWA-Inspire cannot reach episode 1: frame 2;" in refuse()
-    assert "cannot reach episode 1: frame 2;" in refuse(dry_run="true")
+    few = {"transfer__solver__iterations": "1"}
+    assert "IIWA-Inspire cannot reach episode 1: frame 2;" in refuse(**few)
+    assert "cannot reach episode 1: frame 2;" in refuse(dry_run="true", **few)
 
 
 def test_existing_output(refuse: Callable, tmp_path: Path) -> None:
@@ -328,7 +298,7 @@ def test_interrupt_leaves_nothing(main: Callable, root: Path, tmp_path: Path, mo
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(FakeTransfer, "__call__", interrupt)
+    monkeypatch.setattr("cei_gym.transfer.Transfer.__call__", interrupt)
     before = sorted(tmp_path.rglob("*"))
     args = [
         "--dataset.repo_id=me/pick",
