@@ -1,6 +1,7 @@
 """Surfaces of an embodiment's links as trimesh, in the link's frame, metres."""
 
 from collections.abc import Iterable
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -41,7 +42,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
 def link_mesh(model: mujoco.MjModel, geoms: Iterable[int]) -> trimesh.Trimesh | None:
     """Several geoms of one body as one surface in the body's frame; None if there are none."""
     meshes = [geom_mesh(model, g) for g in geoms]
-    return trimesh.util.concatenate(meshes) if meshes else None
+    return cast(trimesh.Trimesh, trimesh.util.concatenate(meshes)) if meshes else None
 
 
 def visual_link_meshes(model: mujoco.MjModel) -> list[trimesh.Trimesh | None]:

@@ -7,13 +7,7 @@ DEFAULT_DIRECTION_WEIGHT_M = 0.05
 18 mm off to turn its normals a little further; 0.05 does not (measured, see README)."""
 
 
-def directional_chamfer_distance(
-    points: np.ndarray,
-    normals: np.ndarray,
-    points_other: np.ndarray,
-    normals_other: np.ndarray,
-    lambda_m: float,
-):
+def directional_chamfer_distance(points, normals, points_other, normals_other, lambda_m: float):
     """DCD between two functional representations in one frame; lower is more similar.
 
     Each pair is matched to the one of the other set that minimises distance minus lambda times the normals' cosine:

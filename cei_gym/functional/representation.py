@@ -96,7 +96,7 @@ def _sample_pad(embodiment: Embodiment, tree: KinematicTree, pad: Pad, count: in
     found_points, found_normals, found = [], [], 0
     # The palmar side is a part of the surface: keep drawing until it has enough of an area-uniform sample.
     for _ in range(20):
-        points, faces = trimesh.sample.sample_surface(mesh, 64 * count, seed=int(rng.integers(2**31)))
+        points, faces = trimesh.sample.sample_surface(mesh, 64 * count, seed=int(rng.integers(2**31)))[:2]
         points, normals = np.asarray(points), mesh.face_normals[faces]
         directions = palmar_directions(embodiment, tree, pad, points)
         keep = np.einsum("ij,ij->i", normals, directions) > pad.palmar_cosine

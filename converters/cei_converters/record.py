@@ -58,7 +58,7 @@ def record(config: RecordConfig) -> dict[str, Any]:
         ) as writer,
         progress_bar("episodes") as progress,
     ):
-        env.unwrapped.expert(config.seed)  # fails here if there is none
+        env.get_wrapper_attr("expert")(config.seed)  # fails here if there is none
         task = progress.add_task("recording", total=config.episodes)
         for seed in range(config.seed, config.seed + config.episodes):
             demonstration, info, variation = record_episode(env, seed, index=len(results))

@@ -104,7 +104,7 @@ class _Stage:
             raise CEIError(f"{reader.repo_id} does not say which environment it replays in; name it with --env.")
         kwargs = recorded.kwargs if recorded is not None and env_id is None else {}
         self.env = open_environment(self.env_id, render_mode="rgb_array", **kwargs)
-        theirs = self.env.unwrapped.embodiment.name
+        theirs = self.env.get_wrapper_attr("embodiment").name
         if theirs != reader.embodiment.name:
             raise CEIError(f"{reader.repo_id} is of {reader.embodiment.name}, but {self.env_id} has a {theirs}.")
 
@@ -117,7 +117,7 @@ class _Stage:
             )
         start = {"environment_state": episode.environment_state[0], "agent_pos": episode.qpos[0]}
         _, info = env.reset(seed=index, options=start)
-        pictures = [env.render()] if filmed else []
+        pictures: list = [env.render()] if filmed else []
         steps = 0
         for action in [*episode.action, *[episode.action[-1]] * HOLD_STEPS]:
             _, _, terminated, truncated, info = env.step(action.astype(np.float32))

@@ -159,7 +159,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         action = np.asarray(action, float)
         if action.shape != self.action_space.shape or not np.isfinite(action).all():
             raise CEIError(
-                f"an action of {self.embodiment.name} is {self.action_space.shape[0]} finite joint targets, not {action!r}."
+                f"an action of {self.embodiment.name} is {len(self.embodiment.lower)} finite joint targets, not {action!r}."
             )
         self._target = np.clip(action, self.embodiment.lower, self.embodiment.upper)
         for _ in range(self._max_hold_ticks):
