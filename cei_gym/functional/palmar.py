@@ -75,7 +75,10 @@ def outer_mask(mesh: trimesh.Trimesh, points_link: np.ndarray, normals_link: np.
 
 @njit(cache=True, nogil=True)
 def _covered(triangles, origins, directions):
-    """Which rays meet a triangle farther than a gap from their origin (Moeller and Trumbore)."""
+    """Which rays meet a triangle farther than a gap from their origin (Moeller and Trumbore).
+
+    trimesh's own ray test needs an optional package and builds a tree that thousands of rays do not pay back.
+    """
     covered = np.zeros(len(origins), np.bool_)
     for i in range(len(origins)):
         dx, dy, dz = directions[i]
