@@ -204,7 +204,9 @@ def test_pads_draws_a_picture(end_effector: str, tmp_path: Path) -> None:
     from PIL import Image
 
     output = tmp_path / "pads.png"
-    assert pads.main([f"--end_effector={end_effector}", f"--output={output}"]) == 0
+    json_path = tmp_path / "pads.json"
+    assert pads.main([f"--end_effector={end_effector}", f"--output={output}", f"--json={json_path}"]) == 0
+    assert sum(json.loads(json_path.read_text())["pads"].values()) == 128
     picture = np.asarray(Image.open(output)).astype(int)
     saturation = picture.max(axis=2) - picture.min(axis=2)
     assert (saturation > 120).sum() > 200  # coloured pads on a grey hand

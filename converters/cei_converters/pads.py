@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from cei_converters.cli import run
 from cei_gym.errors import CEIError, unknown
 
@@ -23,6 +21,7 @@ class PadsConfig:
     pose: str = "half"  # home, half (half closed) or closed.
     points: int = 128  # Point-normal pairs in all.
     seed: int = 0  # Of the sampling.
+    json: str | None = None  # File for the result as JSON.
 
 
 def draw(config: PadsConfig) -> None:
@@ -33,12 +32,14 @@ def draw(config: PadsConfig) -> None:
     """
     from PIL import Image
 
+    from cei_converters.result import check_json_path, write_json
     from cei_gym.embodiment import EndEffectorSpec, build_embodiment, load_end_effector, load_spec
     from cei_gym.functional.picture import draw_representation
     from cei_gym.functional.representation import sample_representation
 
     if config.pose not in POSES:
         raise unknown("pose", config.pose, POSES)
+    check_json_path(config.json)
     output = Path(config.output)
     if output.exists():
         raise CEIError(f"--output={output} already exists; choose another file or remove it first.")
@@ -52,10 +53,10 @@ def draw(config: PadsConfig) -> None:
     picture = draw_representation(representation, (1 - share) * embodiment.home + share * embodiment.closed)
     output.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(picture).save(output)
-    links = {
-        embodiment.body_names[b].split("/")[-1]: int(np.sum(representation.body == b)) for b in representation.body
-    }
-    print(f"Wrote {output}: " + ", ".join(f"{count} points on {link}" for link, count in links.items()) + ".")
+    names = [embodiment.body_names[body].split("/")[-1] for body in representation.body]
+    pads = {name: names.count(name) for name in dict.fromkeys(names)}
+    write_json(config.json, {"end_effector": embodiment.name, "output": str(output), "pads": pads})
+    print(f"Wrote {output}: " + ", ".join(f"{count} points on {link}" for link, count in pads.items()) + ".")
 
 
 def main(args: list[str] | None = None) -> int:
