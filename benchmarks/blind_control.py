@@ -1,0 +1,49 @@
+"""Blind control: each recorded demonstration replayed from another's start. It must fail, or success says nothing.
+
+usage: python benchmarks/blind_control.py [--seed 1000] [--episodes 20] [--results results/replay]
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+
+import cei_gym  # noqa: F401  (registers the environments)
+from cei_converters.provenance import git_commit
+from cei_converters.record import HOLD_STEPS
+
+ENVIRONMENT = "CEI-PickCube-Panda-PandaGripper"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument("--episodes", type=int, default=20)
+    parser.add_argument("--results", type=Path, default=Path("results/replay"))
+    args = parser.parse_args()
+    env = gym.make(ENVIRONMENT)
+    seeds = range(args.seed, args.seed + args.episodes)
+    demonstrations = []
+    for seed in seeds:
+        start, _ = env.reset(seed=seed)
+        targets = env.unwrapped.expert(seed).plan(start["agent_pos"], start["environment_state"])
+        demonstrations.append((start, targets.astype(np.float32)))
+    successes = 0
+    for i, (start, _) in enumerate(demonstrations):
+        _, targets = demonstrations[(i + 1) % len(demonstrations)]
+        env.reset(options={key: start[key] for key in ("agent_pos", "environment_state")})
+        for action in [*targets, *[targets[-1]] * HOLD_STEPS]:
+            *_, terminated, _, info = env.step(action)
+            if terminated:
+                break
+        successes += info["is_success"]
+    result = {"env": ENVIRONMENT, "seeds": [seeds[0], seeds[-1]], "episodes": len(seeds), "successes": int(successes)}
+    args.results.mkdir(parents=True, exist_ok=True)
+    (args.results / "blind_control.json").write_text(json.dumps(result | {"commit": git_commit()}, indent=1) + "\n")
+    print(f"blind control: {successes} of {len(seeds)} succeed")
+
+
+if __name__ == "__main__":
+    main()
