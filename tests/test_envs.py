@@ -478,3 +478,10 @@ def test_an_unknown_simulator_name_lists_the_known_ones() -> None:
     spec = replace(load_end_effector("Inspire"), simulator_name="InspireHand")
     with pytest.raises(CEIError, match="unknown simulator_name of Inspire 'InspireHand'"):
         register_gripper(spec)
+
+
+def test_absolute_control_cannot_be_switched_off_silently() -> None:
+    spec = load_end_effector("PandaGripper")
+    off = [replace(e, enabled=False) for e in spec.physics]
+    with pytest.raises(CEIError, match="must be declared and enabled"):
+        register_gripper(replace(spec, physics=off))

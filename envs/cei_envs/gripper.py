@@ -9,7 +9,7 @@ from robosuite.models.grippers import GRIPPER_MAPPING
 from robosuite.models.grippers.gripper_model import GripperModel
 
 from cei_gym.embodiment import EndEffectorSpec, PhysicsException
-from cei_gym.errors import unknown
+from cei_gym.errors import CEIError, unknown
 
 KINDS = ("mount", "absolute_joint_control", "no_self_contact", "geom_mass")
 
@@ -19,6 +19,7 @@ def register_gripper(spec: EndEffectorSpec) -> str:
     if spec.simulator_name not in GRIPPER_MAPPING:
         raise unknown(f"simulator_name of {spec.name}", spec.simulator_name, GRIPPER_MAPPING)
     stock = GRIPPER_MAPPING[spec.simulator_name]
+    require_absolute_control(spec.name, spec.physics)
     exceptions = [e for e in spec.physics if e.enabled]
     for exception in exceptions:
         if exception.kind not in KINDS:
@@ -45,6 +46,18 @@ def register_gripper(spec: EndEffectorSpec) -> str:
     name = f"CEI{spec.name}"
     GRIPPER_MAPPING[name] = AbsoluteGripper
     return name
+
+
+def require_absolute_control(name: str, physics: list[PhysicsException]) -> PhysicsException:
+    """The exception without which nothing here can be driven.
+
+    Raises:
+        CEIError: it is missing or switched off.
+    """
+    for exception in physics:
+        if exception.kind == "absolute_joint_control" and exception.enabled:
+            return exception
+    raise CEIError(f"{name}: actions are joint targets, so `absolute_joint_control` must be declared and enabled.")
 
 
 def _apply(gripper: GripperModel, spec: EndEffectorSpec, exception: PhysicsException) -> None:

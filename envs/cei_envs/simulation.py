@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from robosuite.controllers import load_composite_controller_config
 
-from cei_envs.gripper import register_gripper
+from cei_envs.gripper import register_gripper, require_absolute_control
 from cei_gym.embodiment import ArmSpec, Embodiment
 from cei_gym.errors import CEIError
 
@@ -93,7 +93,7 @@ class Simulation:
 def _controllers(arm: ArmSpec) -> dict[str, Any]:
     config = load_composite_controller_config(controller="BASIC")
     assert config is not None  # it ships with robosuite
-    parameters = next(e.parameters for e in arm.physics if e.kind == "absolute_joint_control")
+    parameters = require_absolute_control(arm.name, arm.physics).parameters
     config["body_parts"] = {
         "right": {
             "type": "JOINT_POSITION",
