@@ -77,7 +77,7 @@ def run_cell(source: DatasetConfig, target: str, work: Path) -> dict:
 def write_table(results: Path) -> None:
     """results.csv over all the cells there are."""
     with (results / "pick_cube.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
+        writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["target", "successes", "episodes", "wilson_low", "wilson_high", "paper_percent", "failures"])
         for path in sorted(results.glob("PickCube-*.json")):
             r = json.loads(path.read_text())
