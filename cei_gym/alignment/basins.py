@@ -21,6 +21,7 @@ _TORQUE_WEIGHT = 0.05  # metres of objective for static torque a full limit abov
 _TORQUE_SHARE = 0.8
 _JUMP_WEIGHT = 0.05  # metres of objective a radian above the allowed step
 _JUMP_RAD = 0.25
+_CHECKED_FRAMES = 20  # of each demonstration, for penetration and torque
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Basin:
         u: (m,) independent joints at frame 0, rad or m.
         cost: metres; mean objective plus penalties (lower is better).
         objective: metres; mean DCD over the demonstration.
-        penetration_m: deepest contact of the target with itself or the support surface.
+        penetration_m: deepest contact of the target with itself, the support surface or its stand.
         torque_share: largest static joint torque as a share of its limit.
         joint_step_rad: largest joint step between frames.
     """
@@ -136,10 +137,10 @@ def judge_basins(
 
     def judge(u0: np.ndarray) -> Basin:
         tracks = [newton.track(points, normals, u0) for points, normals in trajectories]
-        qpos = problem.embodiment.coupled.expand(np.concatenate([t.u for t in tracks]))
+        seen = np.concatenate([t.u[:: max(1, len(t.u) // _CHECKED_FRAMES)] for t in tracks])
         objective = float(np.mean(np.concatenate([t.objective for t in tracks])))
         step = max(float(np.abs(np.diff(t.u, axis=0)).max(initial=0.0)) for t in tracks)
-        penetration, torque = clearance.worst(qpos[:: max(1, len(qpos) // 40)])
+        penetration, torque = clearance.worst(problem.embodiment.coupled.expand(seen))
         cost = objective + _PENETRATION_WEIGHT * penetration
         cost += _TORQUE_WEIGHT * max(0.0, torque - _TORQUE_SHARE) + _JUMP_WEIGHT * max(0.0, step - _JUMP_RAD)
         return Basin(u0, cost, objective, penetration, torque, step)

@@ -1,4 +1,4 @@
-"""How deep a configuration penetrates itself or the support surface, and how hard it is to hold, by MuJoCo."""
+"""How deep a configuration penetrates itself, the support surface or its own stand, and how hard it is to hold."""
 
 import mujoco
 import numpy as np
@@ -8,6 +8,7 @@ from cei_gym.embodiment.meshes import collision_geoms, link_mesh
 from cei_gym.kinematics import KinematicTree
 
 _DIRECTIONS = 128
+_COLUMN_RADIUS_M = 0.20  # a stand is no part of a robot's description: assume one as wide as most, under the base
 _ARM_MARGIN_M = 0.02  # a hand may touch the table beside what it grasps; an arm has no business near it
 
 
@@ -49,7 +50,7 @@ class Clearance:
         for q in qpos:
             data.qpos[:] = q
             mujoco.mj_fwdPosition(self._model, data)
-            depth = max(depth, self._self_depth(data), self._support_depth(data))
+            depth = max(depth, self._self_depth(data), self._surroundings_depth(data))
             mujoco.mj_fwdVelocity(self._model, data)
             if len(self._motor_joint):
                 share = max(share, float(np.max(np.abs(data.qfrc_bias[self._motor_joint]) / self._motor_limit)))
@@ -62,10 +63,13 @@ class Clearance:
         depth = np.where(hand.all(axis=1), 0.0, -data.contact.dist)
         return float(max(0.0, depth.max()))
 
-    def _support_depth(self, data: mujoco.MjData) -> float:
-        up = data.xmat.reshape(-1, 3, 3)[self._bodies, 2]
-        height = np.einsum("vi,vi->v", up, self._vertices) + data.xpos[self._bodies, 2]
-        return float(np.max(self._support_z + self._margins - height, initial=0.0))
+    def _surroundings_depth(self, data: mujoco.MjData) -> float:
+        """Depth below the support surface, or into the column that the robot stands on."""
+        points = np.einsum("vij,vj->vi", data.xmat.reshape(-1, 3, 3)[self._bodies], self._vertices)
+        points += data.xpos[self._bodies]
+        below_surface = self._support_z + self._margins - points[:, 2]
+        into_column = np.minimum(_COLUMN_RADIUS_M - np.hypot(points[:, 0], points[:, 1]), -points[:, 2])
+        return float(np.max(np.maximum(below_surface, into_column), initial=0.0))
 
 
 def _extreme_points(vertices: np.ndarray) -> np.ndarray:
