@@ -418,3 +418,20 @@ def test_a_source_out_of_reach_is_reported(problems: dict) -> None:
         np.abs(np.diff(problem.embodiment.coupled.expand(track.u), axis=0)).max()
     )
     assert summary["unreachable_frames"] == [3, 4]
+
+
+def test_the_stand_under_the_base_is_not_to_be_entered() -> None:
+    """An oracle of its own: link origins well inside the column below the base must be reported as deep in it."""
+    embodiment = load_embodiment("Panda-RobotiqThreeFinger")
+    clearance = Clearance(embodiment, support_z_base_m=-10.0)
+    tree = KinematicTree(embodiment)
+    rng = np.random.default_rng(0)
+    qpos = embodiment.coupled.expand(
+        rng.uniform(*embodiment.independent_limits, (4000, len(embodiment.coupled.independent)))
+    )
+    origins = tree.forward(qpos)[:, tree.arrays.body_joint >= 0][..., :3, 3]
+    inside = np.any((np.linalg.norm(origins[..., :2], axis=-1) < 0.12) & (origins[..., 2] < -0.08), axis=1)
+    assert inside.any()
+    for q in qpos[inside][:5]:
+        assert clearance.worst(q[None])[0] > 0.05
+    assert clearance.worst(embodiment.home[None])[0] == 0.0
