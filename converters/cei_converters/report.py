@@ -18,7 +18,7 @@ body { font: 16px/1.5 system-ui, sans-serif; color: #1c2330; max-width: 1000px; 
 h1 { font-size: 1.7rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
 table { border-collapse: collapse; } th, td { padding: .3rem .8rem; border-bottom: 1px solid #d5dae3; text-align: left; }
 th { background: #f2f4f8; } img, video { max-width: 100%; border-radius: 4px; }
-pre { background: #f2f4f8; padding: .8rem; overflow-x: auto; border-radius: 4px; } .note { color: #566074; }
+pre { background: #f2f4f8; padding: .8rem; white-space: pre-wrap; border-radius: 4px; } .note { color: #566074; }
 """
 
 
