@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cei_converters.cli import DatasetConfig, run
+from cei_converters.record import HOLD_STEPS
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
@@ -17,8 +18,6 @@ EXAMPLE = """example:
   cei-replay --dataset.repo_id=me/pick_iiwa --dataset.root=data/pick_iiwa
   cei-replay --dataset.repo_id=me/pick_iiwa --dataset.root=data/pick_iiwa \\
       --source.repo_id=me/pick_panda --source.root=data/pick_panda --video=outputs/pick_iiwa.mp4"""
-HOLD_STEPS = 20
-"""Steps that the last target is held for a success to show."""
 
 
 @dataclass
