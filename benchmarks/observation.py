@@ -1,14 +1,15 @@
-"""Milliseconds of the steps of a synthesised observation: robosuite's Lift, an IIWA with an Inspire hand."""
+"""Milliseconds of the steps of a synthesised observation: PickCube, an IIWA with an Inspire hand."""
 
 from collections.abc import Callable
 from functools import partial
 from time import perf_counter
 
-import mujoco
+import gymnasium as gym
 import numpy as np
-import robosuite
-import trimesh
 
+import cei_gym  # noqa: F401  (registers the environments)
+from cei_gym.embodiment.meshes import visual_link_meshes
+from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import RobotMask, SurfaceSampler, crop, farthest_point_sample
 from cei_gym.rendering import DepthCamera, camera_from_mujoco, unproject
 
@@ -27,29 +28,17 @@ def report(step: str, call: Callable, repeats: int = 20) -> object:
 
 
 def main() -> None:
-    env = robosuite.make(
-        "Lift",
-        robots="IIWA",
-        gripper_types="InspireRightHand",
-        has_renderer=False,
-        has_offscreen_renderer=False,
-        use_camera_obs=False,
-        hard_reset=False,
-    )
-    model, data = env.sim.model._model, env.sim.data._data
-    robot = [
-        g
-        for g in range(model.ngeom)
-        if model.geom_group[g] == 1 and model.geom(g).name.startswith(("robot0", "gripper0"))
-    ]
-    meshes = [geom_mesh(model, g) for g in robot]
-    T_world_links = np.tile(np.eye(4), (len(robot), 1, 1))
-    T_world_links[:, :3, :3] = data.geom_xmat[robot].reshape(-1, 3, 3)
-    T_world_links[:, :3, 3] = data.geom_xpos[robot]
+    env = gym.make("CEI-PickCube-IIWA-Inspire")
+    env.reset(seed=0)
+    inner = env.unwrapped
+    model, data, embodiment = inner.model, inner._simulation.data, inner.embodiment
+    robot = [g for g in range(model.ngeom) if model.geom(g).name.startswith(("robot0", "gripper0"))]
+    meshes = visual_link_meshes(embodiment.model)
+    T_world_links = inner.scene.T_world_base @ KinematicTree(embodiment).forward(inner._simulation.qpos)
 
     start = perf_counter()
     mask = RobotMask(meshes)
-    triangles = sum(len(mesh.faces) for mesh in meshes)
+    triangles = sum(len(mesh.faces) for mesh in meshes if mesh is not None)
     print(f"building the mask of {triangles} triangles: {perf_counter() - start:.2f} s (compiles when new)")
     sampler = SurfaceSampler(meshes, 2048)
     for width, height in ((160, 120), (320, 240)):
@@ -66,14 +55,6 @@ def main() -> None:
         cloud = np.concatenate([cropped[~on_robot], added[crop(added, WORKSPACE_WORLD)]])
         report(f"thin {len(cloud)} to 1024", partial(farthest_point_sample, cloud))
     env.close()
-
-
-def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
-    """The mesh of a mesh geom, in its frame."""
-    mesh = model.mesh(model.geom_dataid[geom])
-    vertices = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
-    faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
-    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 if __name__ == "__main__":

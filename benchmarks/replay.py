@@ -18,6 +18,7 @@ from cei_converters.metadata import plain
 from cei_converters.provenance import git_commit, versions
 from cei_converters.record import RecordConfig, record
 from cei_converters.replay import ReplayConfig, replay
+from cei_converters.report import physics_exceptions
 from cei_gym.embodiment import ARMS, load_embodiment
 
 SOURCE = "Panda-PandaGripper"
@@ -69,8 +70,7 @@ def run_cell(source: DatasetConfig, target: str, work: Path) -> dict:
             "results"
         ]
     result = replay(ReplayConfig(dataset, video_episodes=0))
-    hand, arm = load_embodiment(target).end_effector, load_embodiment(target).arm
-    physics = [p for part in (arm, hand) for p in part.physics if p.enabled]
+    physics = physics_exceptions(load_embodiment(target))
     return {"target": target, "replay": result, "alignment": quality, "physics_exceptions": physics}
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from textwrap import shorten
 
 
 class CEIError(ValueError):
@@ -14,3 +15,8 @@ def unknown(kind: str, name: object, valid: Iterable[str]) -> CEIError:
     close = get_close_matches(str(name), names, n=1)
     hint = f" Did you mean {close[0]!r}?" if close else ""
     return CEIError(f"unknown {kind} {name!r}.{hint} Valid: {', '.join(names)}.")
+
+
+def one_line(error: object, width: int = 200) -> str:
+    """The text of a foreign error on one line, cut to `width` characters."""
+    return shorten(str(error), width, placeholder=" ...")

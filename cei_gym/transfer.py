@@ -21,7 +21,8 @@ from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import FunctionalRepresentation, sample_representation
 from cei_gym.kinematics import KinematicTree
-from cei_gym.pointcloud.synthesise import CloudSynthesiser, fuse_depth
+from cei_gym.pointcloud import fuse_depth
+from cei_gym.pointcloud.synthesise import CloudSynthesiser
 
 _FIRST_FRAME_ITERATIONS = 200
 _FINALISTS = 8
@@ -91,6 +92,7 @@ class Transfer:
         points, normals = trajectories[0]
         candidates = find_basins(self.problem, self.options.solver, points[0], normals[0], self.options.init)
         scene = demonstrations[0].scene
+        # Bases stand upright, so a height in the world and one in the base frame differ by the base's own.
         support_z = scene.workspace_world[0, 2] - self._base(demonstrations[0])[2, 3]
         # The first demonstration rules most candidates out; the rest decide among the few that are left.
         few = judge_basins(self.problem, self.options.solver, trajectories[:1], candidates, support_z)[:_FINALISTS]

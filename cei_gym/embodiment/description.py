@@ -10,7 +10,7 @@ from defusedxml.common import DefusedXmlException
 
 from cei_gym.embodiment.resources import within
 from cei_gym.embodiment.spec import Coupling
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def load_description(path: Path, root: Path) -> Description:
     except ValueError as error:
         if isinstance(error, CEIError):
             raise
-        raise CEIError(f"{path.name}: MuJoCo refuses it: {' '.join(str(error).split())}") from error
+        raise CEIError(f"{path.name}: MuJoCo refuses it: {one_line(error)}") from error
     raise CEIError(f"{path.name}: root element <{tree.tag}> is neither <mujoco> (MJCF) nor <robot> (URDF).")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from cei_gym.embodiment.description import Description, load_description
 from cei_gym.embodiment.resources import resolve
 from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec
-from cei_gym.errors import CEIError, unknown
+from cei_gym.errors import CEIError, one_line, unknown
 
 END_EFFECTOR_PREFIX = "ee/"
 """Keeps an end-effector's names apart from its arm's inside one model; public joint names do not carry it."""
@@ -143,7 +143,7 @@ def build_embodiment(
     try:
         model = spec.compile()
     except ValueError as error:
-        raise CEIError(f"{name}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
+        raise CEIError(f"{name}: MuJoCo cannot compile it: {one_line(error)}") from error
     return _from_model(name, arm, end_effector, model, couplings)
 
 

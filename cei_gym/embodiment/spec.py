@@ -8,7 +8,7 @@ from typing import Any
 import draccus
 import yaml
 
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
 
 
 @dataclass(frozen=True)
@@ -126,5 +126,4 @@ def load_spec[Spec](cls: type[Spec], path: Path) -> Spec:
     except FileNotFoundError:
         raise CEIError(f"no such file: {path}.") from None
     except Exception as error:
-        reason = " ".join(str(error).split())
-        raise CEIError(f"{path.name}: not a valid {cls.__name__}: {reason}") from error
+        raise CEIError(f"{path.name}: not a valid {cls.__name__}: {one_line(error)}") from error

@@ -3,8 +3,8 @@
 import numpy as np
 
 DEFAULT_DIRECTION_WEIGHT_M = 0.05
-"""Lambda in metres: what a cosine of 1 is worth in distance. The paper's 0.5 (points in metres) lets a hand's pads stay
-18 mm off to turn its normals a little further; 0.05 does not (measured, see README)."""
+"""Lambda in metres: what a cosine of 1 is worth in distance. The paper's 0.5 (points in metres) leaves a hand's pads about
+twice as far off to turn its normals further: `benchmarks/direction_weight.py`."""
 
 
 def directional_chamfer_distance(points, normals, points_other, normals_other, lambda_m: float):

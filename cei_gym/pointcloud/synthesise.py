@@ -1,10 +1,7 @@
 """One frame's cloud with one robot taken out and another put in (the paper's section IV-C)."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.kinematics import KinematicTree
@@ -12,7 +9,6 @@ from cei_gym.pointcloud.crop import crop
 from cei_gym.pointcloud.mask import RobotMask
 from cei_gym.pointcloud.sample import SurfaceSampler
 from cei_gym.pointcloud.thin import farthest_point_sample
-from cei_gym.rendering import unproject
 
 
 class CloudSynthesiser:
@@ -66,9 +62,3 @@ class CloudSynthesiser:
         robot = self._sample(T_world_target @ self._target.forward(target_qpos))
         robot = robot[crop(robot, workspace_world)]
         return farthest_point_sample(np.concatenate([scene, robot]), self._cloud_points, self._seed)
-
-
-def fuse_depth(scene: Scene, depth_m: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(N, 3) points in the world, m, of all the scene's cameras that have an image (H, W) in `depth_m`."""
-    clouds = [unproject(depth_m[c.name], c) for c in scene.cameras if c.name in depth_m]
-    return np.concatenate(clouds) if clouds else np.zeros((0, 3))

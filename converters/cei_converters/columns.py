@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from cei_converters import schema
-from cei_converters.text import one_line
 from cei_gym.demonstration import Demonstration
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
 
 MM_PER_M = 1000.0
 MAX_DEPTH_MM = np.iinfo(np.uint16).max

@@ -197,7 +197,7 @@ def _transfer_episodes(
     with progress_bar("frames") as progress:
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
         spread = sorted({round(i) for i in np.linspace(0, len(selected) - 1, FIT_EPISODES)})
-        transfer.fit([replace(reader.read(selected[i]), depth_m={}) for i in spread])
+        transfer.fit([reader.read(selected[i], clouds=False) for i in spread])
         for index in selected:
             progress.update(task, description=f"episode {index}")
             demonstration, report = transfer(reader.read(index))

@@ -3,8 +3,7 @@
 import contextlib
 from pathlib import Path
 
-from cei_converters.text import one_line
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
 
 
 def check_repo_id(repo_id: str) -> None:

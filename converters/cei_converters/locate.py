@@ -4,8 +4,7 @@ import json
 from pathlib import Path
 
 from cei_converters.hub import check_repo_id
-from cei_converters.text import one_line
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
 
 INFO_PATH = "meta/info.json"
 _V21_TO_V30 = (

@@ -4,9 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from cei_converters.metadata import METADATA_PATH, REQUIRED, Metadata
-from cei_converters.text import one_line
 from cei_gym.embodiment import Embodiment, embodiment_names, load_embodiment
-from cei_gym.errors import CEIError, unknown
+from cei_gym.errors import CEIError, one_line, unknown
 
 
 def load_metadata(root: Path, embodiment: str | None) -> Metadata | None:

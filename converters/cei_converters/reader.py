@@ -11,9 +11,8 @@ from cei_converters.columns import decode_array, decode_depth_m
 from cei_converters.locate import locate
 from cei_converters.metadata import METADATA_PATH
 from cei_converters.opening import choose_embodiment, load_lerobot_metadata, load_metadata
-from cei_converters.text import one_line
 from cei_gym.demonstration import Demonstration, Scene
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
 
 # how far outside its range a joint may be read before its unit must be wrong
 UNIT_SLACK = {"rad": np.pi, "m": 0.5}
@@ -121,21 +120,26 @@ class DatasetReader:
             raise CEIError(f"the selection of episodes repeats one: {', '.join(map(str, episodes))}.")
         return list(episodes)
 
-    def read(self, index: int) -> Demonstration:
+    def read(self, index: int, *, clouds: bool = True) -> Demonstration:
         """One episode.
+
+        Args:
+            index: which.
+            clouds: also read what cameras saw, depth and point clouds: nearly all of an episode's bytes.
 
         Raises:
             CEIError: it is absent, empty, unreadable, not finite, or in the wrong unit.
         """
         self.select([index])
-        table = self._table(index)
+        depth_keys = self._depth_keys if clouds else []
+        table = self._table(index, [schema.POINT_CLOUD, *depth_keys] if clouds else [])
         if table.num_rows == 0:
             raise CEIError(f"episode {index} has no frames; leave it out with --episodes or record it again.")
         features = self._meta.features
         values = {
             key: decode_array(table[key], features[key], f"episode {index}, {key}")
             for key in table.column_names
-            if key not in self._depth_keys
+            if key not in depth_keys
         }
         for key in (schema.STATE, schema.ACTION):
             self._check_values(values[key], f"episode {index}", key)
@@ -152,7 +156,7 @@ class DatasetReader:
                 key.removeprefix(schema.DEPTH_PREFIX): decode_depth_m(
                     table[key], features[key], f"episode {index}, {key}"
                 )
-                for key in self._depth_keys
+                for key in depth_keys
             },
             point_cloud_world=values.get(schema.POINT_CLOUD),
             environment_state=None if environment_state is None else environment_state.astype(np.float64),
@@ -160,11 +164,11 @@ class DatasetReader:
             index=index,
         )
 
-    def _table(self, index: int) -> Any:
+    def _table(self, index: int, cloud_keys: list[str]) -> Any:
         import pyarrow.parquet as pq
 
         path = self.root / self._meta.get_data_file_path(index)
-        keys = [schema.STATE, schema.ACTION, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._depth_keys]
+        keys = [schema.STATE, schema.ACTION, schema.ENVIRONMENT_STATE, *cloud_keys]
         columns = [key for key in keys if key in self._meta.features]
         try:
             # LeRobot writes a row group an episode, so the filter reads no other episode

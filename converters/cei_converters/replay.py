@@ -109,7 +109,7 @@ class _Stage:
 
     def play(self, index: int, filmed: bool) -> tuple[dict[str, Any], list[np.ndarray]]:
         """Replay one episode: its result, and a picture a step if filmed."""
-        episode, env = self.reader.read(index), self.env
+        episode, env = self.reader.read(index, clouds=False), self.env
         if episode.environment_state is None:
             raise CEIError(
                 f"episode {index} of {self.reader.repo_id} has no observation.environment_state to start from."

@@ -12,8 +12,8 @@ from cei_envs.simulation import CONTROL_HZ, Simulation
 from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.errors import CEIError
-from cei_gym.pointcloud import crop, farthest_point_sample
-from cei_gym.rendering import DepthCamera, look_at, unproject
+from cei_gym.pointcloud import crop, farthest_point_sample, fuse_depth
+from cei_gym.rendering import DepthCamera, look_at
 
 CLOUD_POINTS = 1024
 START_NOISE_RAD = 0.02
@@ -60,6 +60,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         front = look_at("front", (0.75, 0.45, 1.45), (-0.08, 0.0, 0.85), image_width, image_height, 45.0)
         self.scene = Scene(self._simulation.T_world_base, (front,), self._workspace_world())
         self._camera = DepthCamera(self._simulation.model, self.scene.cameras)
+        self._depth_m: dict[str, np.ndarray] = {}
         self._picture: Picture | None = None
         n = len(self.embodiment.joint_names)
         kinds = np.array(self.embodiment.joint_units) == "m"
@@ -189,8 +190,8 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
     # -- beside Gymnasium ---------------------------------------------------------------------------------------
 
     def depth_m(self) -> dict[str, np.ndarray]:
-        """Camera name to (H, W) float32 depth of the scene now, metres, 0 where nothing is."""
-        return {name: depth for name, (depth, _) in self._camera.render(self._simulation.data).items()}
+        """Camera name to (H, W) float32 depth behind the last observation, metres, 0 where nothing is."""
+        return self._depth_m
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -228,7 +229,8 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
 
     def _observation(self) -> dict[str, np.ndarray]:
         images = self._camera.render(self._simulation.data)
-        points = np.concatenate([unproject(images[c.name][0], c) for c in self.scene.cameras])
+        self._depth_m = {name: depth for name, (depth, _) in images.items()}
+        points = fuse_depth(self.scene, self._depth_m)
         points = points[crop(points, self.scene.workspace_world)]
         return {
             "agent_pos": self._simulation.qpos.astype(np.float32),

@@ -62,13 +62,12 @@ def plan(
     """
     position, rotation = grip_pose(embodiment, start)
     positions, rotations, closed = [], [], []
-    before = 0.0
     for w in waypoints:
         s = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, w.frames + 1) / w.frames)
         positions.append(position + s[:, None] * (w.position_base - position))
         rotations.append(Slerp([0, 1], Rotation.concatenate([rotation, w.rotation_base]))(s))
-        closed.append(np.full(w.frames, w.closed) if w.closed != before else np.full(w.frames, before))
-        position, rotation, before = w.position_base, w.rotation_base, w.closed
+        closed.append(np.full(w.frames, w.closed))
+        position, rotation = w.position_base, w.rotation_base
     positions, rotations = np.concatenate(positions), Rotation.concatenate(rotations)
     tremor = gaussian_filter1d(rng.normal(0, 1, positions.shape), 4, axis=0)
     positions = positions + jitter_m * tremor / max(tremor.std(), 1e-9)

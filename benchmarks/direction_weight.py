@@ -1,0 +1,49 @@
+"""What lambda, the weight of direction in the Directional Chamfer Distance, does to the pads of a target.
+
+usage: python benchmarks/direction_weight.py
+
+Four demonstrations of the scripted Panda expert (development seeds 0-3), moved to four targets; writes
+results/alignment/direction_weight.csv: mean pad distance and normal angle by lambda (metres).
+"""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cei_converters.environment import open_environment
+from cei_converters.record import record_episode
+from cei_gym.alignment import SolverOptions
+from cei_gym.embodiment import load_embodiment
+from cei_gym.transfer import Transfer, TransferOptions
+
+SOURCE = "Panda-PandaGripper"
+TARGETS = ("UR5e-FourierRight", "IIWA-Inspire", "Kinova3-FourierLeft", "Panda-RobotiqThreeFinger")
+LAMBDAS_M = (0.0, 0.05, 0.1, 0.5)
+RESULTS = Path("results/alignment/direction_weight.csv")
+
+
+def main() -> None:
+    env = open_environment(f"CEI-PickCube-{SOURCE}")
+    episodes = [record_episode(env, seed, seed)[0] for seed in range(4)]
+    demonstrations = [replace(e, depth_m={}, point_cloud_world=None) for e in episodes]
+    RESULTS.parent.mkdir(parents=True, exist_ok=True)
+    with RESULTS.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["target", "lambda_m", "pad_distance_mm", "normal_angle_deg"])
+        for target in TARGETS:
+            for lambda_m in LAMBDAS_M:
+                options = TransferOptions(solver=SolverOptions(lambda_m=lambda_m))
+                transfer = Transfer(load_embodiment(SOURCE), load_embodiment(target), options)
+                transfer.fit(demonstrations)
+                reports = [transfer(demonstration)[1] for demonstration in demonstrations]
+                distance = np.mean([r.pad_distance_mm.mean() for r in reports])
+                angle = np.mean([r.normal_angle_deg.mean() for r in reports])
+                row = [target, lambda_m, f"{distance:.1f}", f"{angle:.1f}"]
+                writer.writerow(row)
+                print(*row)
+
+
+if __name__ == "__main__":
+    main()
