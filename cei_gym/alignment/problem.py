@@ -1,5 +1,6 @@
 """The alignment problem of one target embodiment, and what a solver returns for a trajectory (section IV-B)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -22,24 +23,76 @@ class PaperOptions:
 
 
 @dataclass(frozen=True)
+class ClearanceOptions:
+    """What a trajectory keeps clear of. Costs nothing until a trajectory comes too near.
+
+    Attributes:
+        weight: k of (k/2) h^2 for a link that lacks h metres of clearance, 1/m; 0 for none.
+        arm_margin_m: between the arm and the support surface: an arm has no business near it.
+        hand_margin_m: between links of the hand and the support surface: fingers may touch it beside what they grasp.
+        idle_margin_m: between fingers that carry no pad and both the surface and objects.
+    """
+
+    weight: float = 1e3
+    arm_margin_m: float = 0.02
+    hand_margin_m: float = 0.0
+    idle_margin_m: float = 0.005
+
+
+@dataclass(frozen=True)
 class SolverOptions:
     """Options of the trajectory alignment.
 
     Attributes:
-        backend: "newton" (second order, compiled) or "paper" (pytorch-kinematics, autograd, Adam).
-        lambda_m: weight of direction in the Directional Chamfer Distance, metres (points are in metres).
-        temporal_weight: weight w of (w/2)|u_t - u_(t-1)|^2, metres per rad^2 (newton only).
-        iterations: most iterations a frame (newton only).
-        tolerance: fall of the objective, metres, that counts as none (newton only).
+        backend: "numba" (second order, compiled), "torch" (the same method, many trajectories at once, any device), "paper"
+            (pytorch-kinematics, autograd, Adam), or "auto" (numba where it is installed, else torch).
+        device: where torch computes: "auto" (a GPU where there is one), "cpu", "cuda", "mps".
+        lambda_m: weight of direction in the Directional Chamfer Distance, metres (points are in metres); 0 is the paper's
+            ablation "without direction".
+        temporal_weight: weight w of (w/2)|u_t - u_(t-1)|^2, metres per rad^2 (second order only).
+        smoothness_weight: weight w of (w/2)|u_t - 2 u_(t-1) + u_(t-2)|^2, metres per rad^2 (second order only).
+        velocity_scale: share of each joint's velocity limit that a trajectory may use; 0 for no limit.
+        iterations: most iterations a frame (second order only).
+        tolerance: fall of the objective, metres, that counts as none (second order only).
+        clearance: see `ClearanceOptions` (second order only).
         paper: the reference's own options.
     """
 
-    backend: str = "newton"
+    backend: str = "auto"
+    device: str = "auto"
     lambda_m: float = DEFAULT_DIRECTION_WEIGHT_M
     temporal_weight: float = 1e-2
+    smoothness_weight: float = 0.0
+    velocity_scale: float = 1.0
     iterations: int = 30
-    tolerance: float = 1e-5
+    tolerance: float = 2e-6
+    clearance: ClearanceOptions = field(default_factory=ClearanceOptions)
     paper: PaperOptions = field(default_factory=PaperOptions)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What stands around the target, in its base frame.
+
+    Attributes:
+        support_z_base_m: height of the support surface.
+        obstacles_base: for each frame (P, 3) points on the surface of objects, m; empty for none.
+    """
+
+    support_z_base_m: float
+    obstacles_base: Sequence[np.ndarray] = ()
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A trajectory to follow; see `Solver.track` for each attribute."""
+
+    points_base: np.ndarray
+    normals_base: np.ndarray
+    u0: np.ndarray
+    iterations: int | None = None
+    dt_s: float | None = None
+    surroundings: Surroundings | None = None
 
 
 @dataclass(frozen=True)
@@ -82,7 +135,13 @@ class Solver(Protocol):
     """Aligns a target to source trajectories; stateless between calls."""
 
     def track(
-        self, points_base: np.ndarray, normals_base: np.ndarray, u0: np.ndarray, iterations: int | None = None
+        self,
+        points_base: np.ndarray,
+        normals_base: np.ndarray,
+        u0: np.ndarray,
+        iterations: int | None = None,
+        dt_s: float | None = None,
+        surroundings: Surroundings | None = None,
     ) -> Track:
         """Follow a trajectory frame by frame, each started from the last.
 
@@ -90,5 +149,11 @@ class Solver(Protocol):
             points_base, normals_base: (T, N, 3) source representation in the *target's* base frame, m and unit.
             u0: (m,) where frame 0 starts, rad or m.
             iterations: another budget a frame.
+            dt_s: time between frames; with it, joints keep their velocity limits.
+            surroundings: with it, links keep clear of them (`ClearanceOptions`).
         """
+        ...
+
+    def track_all(self, motions: Sequence[Motion]) -> list[Track]:
+        """Follow many trajectories, in parallel."""
         ...

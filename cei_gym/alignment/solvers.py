@@ -4,7 +4,7 @@ from cei_gym.alignment.newton import NewtonSolver
 from cei_gym.alignment.problem import AlignmentProblem, Solver, SolverOptions
 from cei_gym.errors import unknown
 
-BACKENDS = ("newton", "paper")
+BACKENDS = ("auto", "numba", "torch", "paper")
 
 
 def make_solver(problem: AlignmentProblem, options: SolverOptions) -> Solver:
@@ -13,7 +13,7 @@ def make_solver(problem: AlignmentProblem, options: SolverOptions) -> Solver:
     Raises:
         CEIError: no such backend (the message lists the valid ones).
     """
-    if options.backend == "newton":
+    if options.backend in ("auto", "numba"):
         return NewtonSolver(problem, options)
     if options.backend == "paper":
         from cei_gym.alignment.paper import PaperSolver  # torch takes seconds to import

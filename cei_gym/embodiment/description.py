@@ -1,6 +1,7 @@
 """Robot descriptions (MJCF or URDF) to `mujoco.MjSpec`, through MuJoCo's own parser, as untrusted input."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
@@ -15,10 +16,16 @@ from cei_gym.errors import CEIError, one_line
 
 @dataclass(frozen=True)
 class Description:
-    """A parsed description: an editable model, and the couplings that its file declares."""
+    """A parsed description: an editable model, and what its file declares that MuJoCo's parser drops.
+
+    Attributes:
+        couplings: follower -> coupling.
+        max_velocity: joint -> the speed limit of a URDF, rad/s or m/s (MJCF has none).
+    """
 
     spec: mujoco.MjSpec
     couplings: dict[str, Coupling]
+    max_velocity: dict[str, float] = field(default_factory=dict)
 
 
 def load_description(path: Path, root: Path) -> Description:
@@ -98,12 +105,16 @@ def _equality_couplings(spec: mujoco.MjSpec) -> dict[str, Coupling]:
 
 
 def _load_urdf(tree: Element, path: Path, root: Path) -> Description:
-    couplings = {}
+    couplings, max_velocity = {}, {}
     for joint in tree.iter("joint"):
-        # MuJoCo drops <mimic> without a word.
+        # MuJoCo drops <mimic> and velocity limits without a word.
+        name = joint.get("name", "")
         if (mimic := joint.find("mimic")) is not None:
-            scale, offset = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
-            couplings[joint.get("name", "")] = Coupling(mimic.get("joint", ""), scale, offset)
+            scale, offset = _number(mimic, "multiplier", 1.0, path), _number(mimic, "offset", 0.0, path)
+            couplings[name] = Coupling(mimic.get("joint", ""), scale, offset)
+        # Exporters write 0 or infinity for "not known".
+        if (limit := joint.find("limit")) is not None and 0 < (speed := _number(limit, "velocity", 0.0, path)) < inf:
+            max_velocity[name] = speed
     for mesh in tree.iter("mesh"):
         mesh.set("filename", str(_urdf_mesh(mesh.get("filename", ""), path, root)))
     for extension in tree.findall("mujoco"):
@@ -117,7 +128,15 @@ def _load_urdf(tree: Element, path: Path, root: Path) -> Description:
     }
     extension.append(Element("compiler", options))
     tree.insert(0, extension)
-    return Description(mujoco.MjSpec.from_string(tostring(tree, encoding="unicode")), couplings)
+    return Description(mujoco.MjSpec.from_string(tostring(tree, encoding="unicode")), couplings, max_velocity)
+
+
+def _number(element: Element, attribute: str, default: float, path: Path) -> float:
+    text = element.get(attribute, default)
+    try:
+        return float(text)
+    except ValueError:
+        raise CEIError(f"{path.name}: <{element.tag} {attribute}={text!r}> is not a number.") from None
 
 
 def _urdf_mesh(uri: str, path: Path, root: Path) -> Path:

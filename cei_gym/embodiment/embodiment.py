@@ -19,6 +19,13 @@ END_EFFECTOR_PREFIX = "ee/"
 CONTINUOUS_LIMIT_RAD = 2 * np.pi
 """Limit given to a hinge that declares none, so that every joint has a finite range."""
 
+DEFAULT_MAX_VELOCITY_RAD_S = 3.14
+"""Speed given to a hinge that declares none: half a turn a second, what small servos and the joints of light arms do."""
+
+DEFAULT_MAX_VELOCITY_M_S = 0.5
+"""Speed given to a slide that declares none: above the 0.42 m/s at which robosuite's Panda gripper snaps shut, so that
+what a simulator recorded stays possible."""
+
 
 @dataclass(frozen=True)
 class Coupled:
@@ -63,6 +70,7 @@ class Embodiment:
         joint_units: n units, "rad" or "m".
         n_arm: how many of the joints belong to the arm.
         lower, upper: (n,) joint limits, rad or m.
+        max_velocity: (n,) largest speeds, rad/s or m/s: the YAML's, else the URDF's, else a default.
         coupled: how joints follow the independent ones.
         home, closed: (n,) rest pose, and the same with the end-effector closed.
     """
@@ -76,6 +84,7 @@ class Embodiment:
     n_arm: int
     lower: np.ndarray
     upper: np.ndarray
+    max_velocity: np.ndarray
     coupled: Coupled
     home: np.ndarray
     closed: np.ndarray
@@ -107,6 +116,14 @@ class Embodiment:
             lower[u], upper[u] = max(lower[u], a), min(upper[u], b)
         return lower, upper
 
+    @cached_property
+    def independent_max_velocity(self) -> np.ndarray:
+        """(m,) largest speeds of the independent joints, rad/s or m/s, such that followers too keep within theirs."""
+        moves = self.coupled.scale != 0
+        fastest = np.full(len(self.coupled.independent), np.inf)
+        np.minimum.at(fastest, self.coupled.leader[moves], self.max_velocity[moves] / np.abs(self.coupled.scale[moves]))
+        return fastest
+
 
 def build_embodiment(
     arm: ArmSpec | None, end_effector: EndEffectorSpec | None, relative_to: Path = Path()
@@ -121,12 +138,14 @@ def build_embodiment(
         CEIError: a description is missing or refused, or a specification names what the description lacks.
     """
     couplings: dict[str, Coupling] = {}
+    max_velocity: dict[str, float] = {}
     if arm is not None:
         description = load_description(*resolve(arm.description, relative_to))
         spec, flange = description.spec, description.spec.body(arm.mount_body)
         if flange is None:
             raise unknown(f"mount_body of {arm.name}", arm.mount_body, [b.name for b in spec.bodies])
         couplings |= description.couplings
+        max_velocity |= description.max_velocity
         if arm.inertia_groups:
             spec.compiler.inertiagrouprange = arm.inertia_groups
     else:
@@ -139,12 +158,13 @@ def build_embodiment(
             END_EFFECTOR_PREFIX + name: Coupling(END_EFFECTOR_PREFIX + c.joint, c.scale, c.offset, c.ignore_limits)
             for name, c in (description.couplings | end_effector.couplings).items()
         }
+        max_velocity |= {END_EFFECTOR_PREFIX + name: speed for name, speed in description.max_velocity.items()}
     name = "-".join(part.name for part in (arm, end_effector) if part is not None)
     try:
         model = spec.compile()
     except ValueError as error:
         raise CEIError(f"{name}: MuJoCo cannot compile it: {one_line(error)}") from error
-    return _from_model(name, arm, end_effector, model, couplings)
+    return _from_model(name, arm, end_effector, model, couplings, max_velocity)
 
 
 def _attach(flange: mujoco.MjsBody, spec: EndEffectorSpec, description: Description) -> None:
@@ -181,6 +201,7 @@ def _from_model(
     end_effector: EndEffectorSpec | None,
     model: mujoco.MjModel,
     couplings: dict[str, Coupling],
+    declared_max_velocity: dict[str, float],
 ) -> Embodiment:
     hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
     names = [model.joint(i).name for i in range(model.njnt)]
@@ -202,12 +223,14 @@ def _from_model(
         q = model.actuator_trnid[a, 0]
         lower[q] = max(lower[q], model.actuator_ctrlrange[a, 0])
         upper[q] = min(upper[q], model.actuator_ctrlrange[a, 1])
+    max_velocity = _max_velocity(names, model.jnt_type == hinge, arm, end_effector, declared_max_velocity)
     coupled = _couple(name, names, couplings)
     for q, joint in enumerate(names):
         if joint in couplings and couplings[joint].ignore_limits:
             leader = coupled.independent[coupled.leader[q]]
             ends = coupled.scale[q] * np.array([lower[leader], upper[leader]]) + coupled.offset[q]
             lower[q], upper[q] = ends.min(), ends.max()
+            max_velocity[q] = abs(coupled.scale[q]) * max_velocity[leader]
     pose = {} if arm is None else dict(arm.home)
     pose |= {} if end_effector is None else end_effector.home
     home = _pose(name, public, coupled, pose)
@@ -223,6 +246,7 @@ def _from_model(
         int(np.sum(~is_hand)),
         lower,
         upper,
+        max_velocity,
         coupled,
         home,
         closed,
@@ -233,6 +257,26 @@ def _from_model(
                 f"{name}: {label} puts {public[q]} at {values[q]:.4g}, outside [{lower[q]:.4g}, {upper[q]:.4g}] {units[q]}."
             )
     return embodiment
+
+
+def _max_velocity(
+    names: list[str],
+    hinge: np.ndarray,
+    arm: ArmSpec | None,
+    end_effector: EndEffectorSpec | None,
+    declared: dict[str, float],
+) -> np.ndarray:
+    speeds = dict(declared)
+    for part, prefix in ((arm, ""), (end_effector, END_EFFECTOR_PREFIX)):
+        joints = [n for n in names if n.startswith(END_EFFECTOR_PREFIX) == bool(prefix)]
+        for joint, speed in {} if part is None else part.max_velocity.items():
+            if prefix + joint not in joints:
+                raise unknown(f"joint in max_velocity of {part.name}", joint, map(_public, joints))
+            if not 0 < speed < np.inf:
+                raise CEIError(f"max_velocity of {part.name} gives {joint} {speed:g}; it must be finite and above 0.")
+            speeds[prefix + joint] = speed
+    default = np.where(hinge, DEFAULT_MAX_VELOCITY_RAD_S, DEFAULT_MAX_VELOCITY_M_S)
+    return np.array([speeds.get(n, d) for n, d in zip(names, default, strict=True)])
 
 
 def _couple(name: str, names: list[str], couplings: dict[str, Coupling]) -> Coupled:

@@ -75,6 +75,7 @@ class ArmSpec:
         mount_body: the flange.
         inertia_groups: first and last group of the geoms that have mass, where the description leaves that to the file
             that includes it.
+        max_velocity: largest speed of joints, rad/s or m/s; the others have their URDF's, or a default.
         simulator_name: the simulator's name for it, if it differs.
     """
 
@@ -82,6 +83,7 @@ class ArmSpec:
     description: str
     mount_body: str
     home: dict[str, float]
+    max_velocity: dict[str, float] = field(default_factory=dict)
     inertia_groups: list[int] = field(default_factory=list)
     simulator_name: str = ""
     physics: list[PhysicsException] = field(default_factory=list)
@@ -98,6 +100,7 @@ class EndEffectorSpec:
         mount_pos_m, mount_quat_wxyz: pose of the root body on the flange; empty keeps the description's own.
         home: rest pose of independent joints (others 0); joints that move no pad stay there.
         closed: closed pose of independent joints; home to closed tells which side of a finger is palmar.
+        max_velocity: as for an arm.
         simulator_name: the simulator's name for it, if it differs.
     """
 
@@ -106,6 +109,7 @@ class EndEffectorSpec:
     pads: list[Pad]
     home: dict[str, float] = field(default_factory=dict)
     closed: dict[str, float] = field(default_factory=dict)
+    max_velocity: dict[str, float] = field(default_factory=dict)
     root_body: str = ""
     angle: str = ""
     inertia_groups: list[int] = field(default_factory=list)

@@ -12,6 +12,10 @@ from cei_gym.errors import CEIError, unknown
 from cei_gym.functional.palmar import extent_mask, outer_mask, palmar_directions
 from cei_gym.kinematics.tree import KinematicTree
 
+VARIANTS = ("standard", "reduced", "dropped")
+"""Which part of a pad stands for it: all of it, the quarter of its area around its centroid (half its extent), or a
+random half of the standard's points (the paper's "Sensitivity of functional representation")."""
+
 
 @dataclass(frozen=True)
 class FunctionalRepresentation:
@@ -46,17 +50,22 @@ class FunctionalRepresentation:
         return points, np.einsum("...nij,nj->...ni", T[..., :3, :3], self.normals_link)
 
 
-def sample_representation(embodiment: Embodiment, points: int = 64, seed: int = 0) -> FunctionalRepresentation:
+def sample_representation(
+    embodiment: Embodiment, points: int = 64, seed: int = 0, variant: str = "standard"
+) -> FunctionalRepresentation:
     """Sample an embodiment's pads, area-uniform on each pad, seeded.
 
     Args:
         embodiment: whose end-effector's YAML names the pads.
-        points: pairs in all, shared among pads by their `share`.
+        points: pairs in all, shared among pads by their `share` ("dropped" keeps half of each pad's, rounded up).
         seed: of the sampling.
+        variant: one of `VARIANTS`.
 
     Raises:
-        CEIError: no pads, a pad that names what the model lacks, or one with no palmar surface.
+        CEIError: no pads, a pad that names what the model lacks, one with no palmar surface, or no such variant.
     """
+    if variant not in VARIANTS:
+        raise unknown("variant of the functional representation", variant, VARIANTS)
     spec = embodiment.end_effector
     if spec is None or not spec.pads:
         raise CEIError(f"{embodiment.name} has no finger pads; list them under `pads` in its end-effector's YAML.")
@@ -65,7 +74,7 @@ def sample_representation(embodiment: Embodiment, points: int = 64, seed: int = 
     counts = np.diff(ends, prepend=0)
     tree = KinematicTree(embodiment)
     parts = [
-        _sample_pad(embodiment, tree, pad, int(count), np.random.default_rng([seed, i]))
+        _sample_variant(embodiment, tree, pad, int(count), np.random.default_rng([seed, i]), variant)
         for i, (pad, count) in enumerate(zip(spec.pads, counts, strict=True))
     ]
     bodies = [np.full(len(p), embodiment.body_id(pad.body)) for pad, (p, _) in zip(spec.pads, parts, strict=True)]
@@ -89,6 +98,18 @@ def pad_mesh(embodiment: Embodiment, pad: Pad) -> trimesh.Trimesh:
     if mesh is None:
         raise CEIError(f"pad {pad.body!r} of {embodiment.name}: the link has no collision geom; name its `geoms`.")
     return mesh
+
+
+def _sample_variant(
+    embodiment: Embodiment, tree: KinematicTree, pad: Pad, count: int, rng: np.random.Generator, variant: str
+) -> tuple[np.ndarray, np.ndarray]:
+    points, normals = _sample_pad(embodiment, tree, pad, 4 * count if variant == "reduced" else count, rng)
+    kept = np.arange(len(points))
+    if variant == "reduced":
+        kept = np.argsort(np.linalg.norm(points - points.mean(axis=0), axis=1))[:count]
+    elif variant == "dropped":
+        kept = rng.choice(count, (count + 1) // 2, replace=False)
+    return points[kept], normals[kept]
 
 
 def _sample_pad(embodiment: Embodiment, tree: KinematicTree, pad: Pad, count: int, rng: np.random.Generator):

@@ -1,0 +1,1 @@
+"""Compiled parts of the second-order solver: what runs some ten times a frame."""

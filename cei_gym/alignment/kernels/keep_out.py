@@ -1,0 +1,117 @@
+"""Clearance as a part of the objective: links stay above the support surface, idle fingers out of objects.
+
+A link is convex here: its outermost vertices for a plane, and their extent along fixed directions for points. Both are a
+few multiplications a link, need no collision library inside compiled code, and are exact against a plane. Spheres fitted
+to links would be centimetres off at a palm's corners.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from cei_gym.alignment.kernels.quadratic import add_contact
+
+
+class KeepOut(NamedTuple):
+    """Links, and what they stay clear of, in the target's base frame.
+
+    Attributes:
+        weight: k of (k / 2) h^2 for a clearance that lacks h metres, 1/m; 0 switches all of it off.
+        height_m: of the support surface.
+        joint: (K,) joint whose frame carries each link.
+        margin_m: (K,) clearance wanted of each link.
+        start: (K + 1,) vertices of link k are `start[k] : start[k + 1]`.
+        vertices: (V, 3) outermost vertices in their joint's frame.
+        directions: (D, 3) unit directions in the joint's frame.
+        reach: (K, D) farthest that a link extends along each.
+        idle: (K,) links that keep out of objects too.
+    """
+
+    weight: float
+    height_m: float
+    joint: np.ndarray
+    margin_m: np.ndarray
+    start: np.ndarray
+    vertices: np.ndarray
+    directions: np.ndarray
+    reach: np.ndarray
+    idle: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def penalise(keep_out, obstacles, origin, pose, quadratic, derivatives):
+    """Sum of (k / 2) h^2 over links; adds its forces and blocks to `quadratic` if `derivatives`.
+
+    Args:
+        obstacles: (P, 3) points on objects, base frame.
+    """
+    total = 0.0
+    point, normal = np.empty(3), np.empty(3)
+    for link in range(len(keep_out.joint)):
+        k = keep_out.joint[link]
+        lacking = keep_out.height_m + keep_out.margin_m[link] - _lowest(keep_out, link, pose, k, point)
+        if lacking > 0.0:
+            total += 0.5 * keep_out.weight * lacking * lacking
+            if derivatives:
+                normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
+                _about(point, origin)
+                add_contact(k, point, normal, lacking, keep_out.weight, quadratic)
+        if keep_out.idle[link]:
+            lacking = keep_out.margin_m[link] - _nearest(keep_out, link, obstacles, pose, k, point, normal)
+            if lacking > 0.0:
+                total += 0.5 * keep_out.weight * lacking * lacking
+                if derivatives:
+                    _about(point, origin)
+                    add_contact(k, point, normal, lacking, keep_out.weight, quadratic)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _about(point, origin):
+    for i in range(3):
+        point[i] -= origin[i]
+
+
+@njit(cache=True, nogil=True)
+def _lowest(keep_out, link, pose, k, point):
+    """Height of a link's lowest vertex, which goes to `point`."""
+    R, t = pose.rot[k], pose.pos[k]
+    lowest, which = np.inf, 0
+    for v in range(keep_out.start[link], keep_out.start[link + 1]):
+        x = keep_out.vertices[v]
+        z = t[2] + R[2, 0] * x[0] + R[2, 1] * x[1] + R[2, 2] * x[2]
+        if z < lowest:
+            lowest, which = z, v
+    x = keep_out.vertices[which]
+    for i in range(3):
+        point[i] = t[i] + R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2]
+    return lowest
+
+
+@njit(cache=True, nogil=True)
+def _nearest(keep_out, link, obstacles, pose, k, point, normal):
+    """Distance of the nearest obstacle (negative inside); its point, and the way out for the link."""
+    R, t = pose.rot[k], pose.pos[k]
+    least, which, side = np.inf, 0, 0
+    for p in range(len(obstacles)):
+        dx, dy, dz = obstacles[p, 0] - t[0], obstacles[p, 1] - t[1], obstacles[p, 2] - t[2]
+        x = R[0, 0] * dx + R[1, 0] * dy + R[2, 0] * dz
+        y = R[0, 1] * dx + R[1, 1] * dy + R[2, 1] * dz
+        z = R[0, 2] * dx + R[1, 2] * dy + R[2, 2] * dz
+        outside, face = -np.inf, 0
+        for d in range(len(keep_out.directions)):
+            n = keep_out.directions[d]
+            distance = n[0] * x + n[1] * y + n[2] * z - keep_out.reach[link, d]
+            if distance > outside:
+                outside, face = distance, d
+                if outside >= least:
+                    break
+        if outside < least:
+            least, which, side = outside, p, face
+    if len(obstacles):
+        n = keep_out.directions[side]
+        for i in range(3):
+            point[i] = obstacles[which, i]
+            normal[i] = -(R[i, 0] * n[0] + R[i, 1] * n[1] + R[i, 2] * n[2])
+    return least

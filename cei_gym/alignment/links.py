@@ -1,0 +1,103 @@
+"""Links as convex shapes: which have to stay clear of what."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cei_gym.alignment.kernels.keep_out import KeepOut
+from cei_gym.alignment.problem import AlignmentProblem, ClearanceOptions
+from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
+from cei_gym.embodiment.meshes import collision_geoms, link_mesh
+from cei_gym.kinematics import KinematicTree
+from cei_gym.kinematics.joints import reduce_to_joints
+
+_OUTERMOST = 128  # directions in which a link's outermost vertices are kept
+_SIDES = 64  # directions that bound a link against points
+
+
+@dataclass(frozen=True)
+class LinkShapes:
+    """The moving links (and all of the hand) that have collision geoms.
+
+    Attributes:
+        body: (K,) link.
+        hand: (K,) whether it belongs to the end-effector.
+        vertices_link: for each, (V, 3) outermost vertices in the link's frame, m.
+    """
+
+    body: np.ndarray
+    hand: np.ndarray
+    vertices_link: list[np.ndarray]
+
+
+def link_shapes(embodiment: Embodiment) -> LinkShapes:
+    """Outermost vertices of an embodiment's links."""
+    hand = np.array([name.startswith(END_EFFECTOR_PREFIX) for name in embodiment.body_names])
+    moving = KinematicTree(embodiment).arrays.body_joint >= 0
+    bodies, vertices = [], []
+    for body in np.flatnonzero(moving | hand):
+        mesh = link_mesh(embodiment.model, collision_geoms(embodiment.model, int(body)))
+        if mesh is not None:
+            bodies.append(int(body))
+            vertices.append(_outermost(np.asarray(mesh.vertices)))
+    return LinkShapes(np.array(bodies, int), hand[bodies], vertices)
+
+
+def idle_bodies(problem: AlignmentProblem) -> np.ndarray:
+    """(L,) links of fingers that carry no pad: moved by a joint of the hand that moves no pad."""
+    tree = problem.tree.arrays
+    carries = np.zeros(len(tree.hinge), bool)
+    for joint in tree.body_joint[np.unique(problem.representation.body)]:
+        while joint >= 0:
+            carries[joint] = True
+            joint = tree.joint_parent[joint]
+    joint = tree.body_joint
+    return (joint >= problem.embodiment.n_arm) & ~carries[joint]
+
+
+def keep_out_links(problem: AlignmentProblem, options: ClearanceOptions) -> KeepOut:
+    """The links for compiled code; the support's height is still to be set."""
+    shapes = link_shapes(problem.embodiment)
+    _, attachment = reduce_to_joints(problem.tree.arrays)
+    idle = idle_bodies(problem)[shapes.body]
+    moving = attachment.joint[shapes.body] >= 0
+    shapes = LinkShapes(
+        shapes.body[moving], shapes.hand[moving], [v for v, m in zip(shapes.vertices_link, moving, strict=True) if m]
+    )
+    idle = idle[moving]
+    placed = [
+        vertices @ attachment.rot[body].T + attachment.pos[body]
+        for body, vertices in zip(shapes.body, shapes.vertices_link, strict=True)
+    ]
+    sides = _spread_directions(_SIDES)
+    margin = np.where(shapes.hand, options.hand_margin_m, options.arm_margin_m)
+    return KeepOut(
+        weight=float(options.weight),
+        height_m=-np.inf,
+        joint=attachment.joint[shapes.body],
+        margin_m=np.where(idle, options.idle_margin_m, margin).astype(float),
+        start=np.concatenate([[0], np.cumsum([len(v) for v in placed])]).astype(np.int64),
+        vertices=np.concatenate([np.zeros((0, 3)), *placed]),
+        directions=sides,
+        reach=np.array([(v @ sides.T).max(axis=0) for v in placed]).reshape(-1, len(sides)),
+        idle=idle,
+    )
+
+
+def _outermost(vertices: np.ndarray) -> np.ndarray:
+    """The vertices (V, 3) that lie farthest out in evenly spread directions: enough to tell which touches a plane."""
+    return vertices[np.unique((vertices @ _spread_directions(_OUTERMOST).T).argmax(axis=0))]
+
+
+def _spread_directions(n: int) -> np.ndarray:
+    """(n, 3) unit vectors evenly spread over the sphere (a golden spiral)."""
+    i = np.arange(n) + 0.5
+    polar, turn = np.arccos(1 - 2 * i / n), np.pi * (1 + 5**0.5) * i
+    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
+
+
+def keep_nothing_out() -> KeepOut:
+    """No links and no weight: what compiled code gets while nothing is too near."""
+    ints, floats = np.zeros(0, np.int64), np.zeros(0)
+    points = np.zeros((0, 3))
+    return KeepOut(0.0, -np.inf, ints, floats, np.zeros(1, np.int64), points, points, points, np.zeros(0, bool))
