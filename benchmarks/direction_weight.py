@@ -16,7 +16,7 @@ from cei_converters.environment import open_environment
 from cei_converters.record import record_episode
 from cei_gym.alignment import SolverOptions
 from cei_gym.embodiment import load_embodiment
-from cei_gym.transfer import Transfer, TransferOptions
+from cei_gym.transfer import Transfer
 
 SOURCE = "Panda-PandaGripper"
 TARGETS = ("UR5e-FourierRight", "IIWA-Inspire", "Kinova3-FourierLeft", "Panda-RobotiqThreeFinger")
@@ -34,8 +34,8 @@ def main() -> None:
         writer.writerow(["target", "lambda_m", "pad_distance_mm", "normal_angle_deg"])
         for target in TARGETS:
             for lambda_m in LAMBDAS_M:
-                options = TransferOptions(solver=SolverOptions(lambda_m=lambda_m))
-                transfer = Transfer(load_embodiment(SOURCE), load_embodiment(target), options)
+                solver = SolverOptions(lambda_m=lambda_m)
+                transfer = Transfer(load_embodiment(SOURCE), load_embodiment(target), solver=solver)
                 transfer.fit(demonstrations)
                 reports = [transfer(demonstration)[1] for demonstration in demonstrations]
                 distance = np.mean([r.pad_distance_mm.mean() for r in reports])

@@ -175,9 +175,9 @@ def pad_goals(problem: AlignmentProblem, points_base, normals_base, u0) -> PadGo
         w = weight[on] / weight[on].sum()
         points_link.append(w @ representation.points_link[target[on]])
         matched = points_base[:, source[on]]
-        centre = np.einsum("k,tki->ti", w, matched)
+        centre = w @ matched
         arms = matched - centre[:, None]
-        U, _, Vt = np.linalg.svd(np.einsum("k,tki,kj->tij", w, arms, arms[0]))
+        U, _, Vt = np.linalg.svd(np.swapaxes(w[:, None] * arms, 1, 2) @ arms[0])
         U[..., 2] *= np.linalg.det(U @ Vt)[:, None]  # a turn, not a mirror
         turn = U @ Vt
         offset = T_links[body, :3, :3] @ points_link[-1] + T_links[body, :3, 3] - centre[0]

@@ -1,7 +1,7 @@
 """A demonstration of one embodiment in, the same demonstration of another out (the paper's section IV)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,23 +9,35 @@ from cei_gym.alignment import (
     AlignmentProblem,
     AlignmentReport,
     Basin,
+    Follower,
     InitialisationOptions,
+    ManualAlignment,
+    Motion,
     SolverOptions,
+    Stream,
+    Surroundings,
+    Track,
+    choose_modes,
     find_basins,
+    judge,
     judge_basins,
-    make_solver,
+    link_shapes,
+    make_report,
 )
-from cei_gym.alignment.report import make_report
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
-from cei_gym.errors import CEIError
-from cei_gym.functional import FunctionalRepresentation, sample_representation
+from cei_gym.errors import CEIError, unknown
+from cei_gym.functional import FunctionalRepresentation, directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import fuse_depth
 from cei_gym.pointcloud.synthesise import CloudSynthesiser
 
+METHODS = ("cei", "bms")
 _FIRST_FRAME_ITERATIONS = 200
 _FINALISTS = 8
+_TOLERATED_PENETRATION_M = 0.005
+_ABOVE_SUPPORT_M = 0.005
+_OBSTACLE_POINTS = 128
 
 
 @dataclass(frozen=True)
@@ -33,18 +45,21 @@ class TransferOptions:
     """Options of a transfer.
 
     Attributes:
+        method: "cei", or "bms" (the paper's baseline, binary manual specification: see `ManualAlignment`).
+        representation: which points stand for a pad: "standard", or "reduced" or "dropped" (the paper's sensitivity
+            analysis).
         points: point-normal pairs of each functional representation.
-        seed: of every random choice.
+        seed: of sampling pads and robot surfaces.
         squeeze_m: how far actions close each pad beyond the contact that was observed, at most, while the source's
             gripper is told to close further than it can; it carries grip force over. 0 is the paper.
         unreachable_mm: mean pad distance above which a frame counts as out of the target's reach.
         tau_m: threshold of the robot mask.
         robot_points: points sampled over the target's whole surface.
         cloud_points: points of a synthesised cloud.
-        solver: the alignment's options.
-        init: the multi-start's options.
     """
 
+    method: str = "cei"
+    representation: str = "standard"
     points: int = 64
     seed: int = 0
     squeeze_m: float = 0.010
@@ -52,20 +67,23 @@ class TransferOptions:
     tau_m: float = 0.005
     robot_points: int = 16384
     cloud_points: int = 1024
-    solver: SolverOptions = field(default_factory=SolverOptions)
-    init: InitialisationOptions = field(default_factory=InitialisationOptions)
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise unknown("transfer.method", self.method, METHODS)
 
 
 class Transfer:
     """Moves demonstrations from a source to a target embodiment.
 
-    One frame-0 basin serves all demonstrations, so that a policy sees one way of doing things: call `fit` with a few
-    demonstrations, or the first one transferred decides.
+    One frame-0 basin (or one a mode) serves all demonstrations, so that a policy sees one way of doing things: call `fit`
+    with a few demonstrations, or the first one transferred decides. A demonstration that cannot be followed that way
+    takes the best of the others.
 
     Args:
         source: embodiment of the demonstrations.
         target: embodiment wanted.
-        options: see `TransferOptions`.
+        options, solver, init: see each class.
         T_world_target: (4, 4) pose of the target's base; the source's own if None.
     """
 
@@ -74,33 +92,52 @@ class Transfer:
         source: Embodiment,
         target: Embodiment,
         options: TransferOptions | None = None,
+        solver: SolverOptions | None = None,
+        init: InitialisationOptions | None = None,
         T_world_target: np.ndarray | None = None,
     ) -> None:
         self.source, self.target = source, target
         self.options = o = options or TransferOptions()
+        self.solver_options, self.init = solver or SolverOptions(), init or InitialisationOptions()
         self._T_world_target = T_world_target
         self._source_tree = KinematicTree(source)
-        self.source_representation: FunctionalRepresentation = sample_representation(source, o.points, o.seed)
-        self.problem = AlignmentProblem(sample_representation(target, o.points, o.seed), KinematicTree(target))
-        self._solver = make_solver(self.problem, o.solver)
+        self.source_representation: FunctionalRepresentation = sample_representation(
+            source, o.points, o.seed, o.representation
+        )
+        self.problem = AlignmentProblem(
+            sample_representation(target, o.points, o.seed, o.representation), KinematicTree(target)
+        )
+        self._source_shapes = link_shapes(source)
+        self._follower = Follower(self.problem, self.solver_options)
+        self._manual = ManualAlignment(source, target) if o.method == "bms" else None
         self._synthesise = CloudSynthesiser(source, target, o.tau_m, o.robot_points, o.cloud_points, o.seed)
         self.basins: list[Basin] = []
+        """One basin a mode, once fitted."""
+        self._finalists: list[Basin] = []
 
     def fit(self, demonstrations: Sequence[Demonstration]) -> None:
-        """Choose where trajectories start, by following candidates through whole demonstrations."""
-        trajectories = [self._squeezed(d) for d in demonstrations]
-        points, normals = trajectories[0]
-        candidates = find_basins(self.problem, self.options.solver, points[0], normals[0], self.options.init)
-        scene = demonstrations[0].scene
-        # Bases stand upright, so a height in the world and one in the base frame differ by the base's own.
-        support_z = scene.workspace_world[0, 2] - self._base(demonstrations[0])[2, 3]
-        # The first demonstration rules most candidates out; the rest decide among the few that are left.
-        few = judge_basins(self.problem, self.options.solver, trajectories[:1], candidates, support_z)[:_FINALISTS]
-        starts = np.array([basin.u for basin in few])
-        self.basins = judge_basins(self.problem, self.options.solver, trajectories, starts, support_z)
+        """Choose where trajectories start, by following candidates through whole demonstrations.
 
-    def __call__(self, demonstration: Demonstration) -> tuple[Demonstration, AlignmentReport]:
+        Raises:
+            CEIError: there are fewer distinct motions than `init.modes`.
+        """
+        if self._manual is not None:
+            return
+        motions = [self._motion(d, squeezed=True) for d in demonstrations]
+        starts = find_basins(
+            self.problem, self.solver_options, motions[0].points_base[0], motions[0].normals_base[0], self.init
+        )
+        # The first demonstration rules most candidates out; the rest decide among the few that are left.
+        few = judge_basins(self._follower, motions[:1], starts)[: _FINALISTS * self.init.modes]
+        self._finalists = judge_basins(self._follower, motions, np.array([b.u for b in few]))
+        self.basins = choose_modes(self._finalists, self.init.modes)
+
+    def __call__(self, demonstration: Demonstration, mode: int = 0) -> tuple[Demonstration, AlignmentReport]:
         """Transfer one demonstration.
+
+        Args:
+            demonstration: of the source.
+            mode: which of the `init.modes` motions.
 
         Returns:
             The target's demonstration (state `q_t`, action `q_(t+1)`, synthesised cloud), and how well it follows.
@@ -114,63 +151,157 @@ class Transfer:
             )
         if not self.basins:
             self.fit([demonstration])
-        points, normals = self._representation(demonstration)
-        u0 = self._solver.track(points[:1], normals[:1], self.basins[0].u, _FIRST_FRAME_ITERATIONS).u[0]
-        track = self._solver.track(points, normals, u0)
-        o = self.options
-        report = make_report(self.problem, points, normals, track, o.solver.lambda_m, o.unreachable_mm)
+        scenes = self._scenes(demonstration)
+        motion = self._motion(demonstration, scenes=scenes)
+        if self._manual is not None:
+            track = closing = self._specified(demonstration, motion)
+            report = self._report(motion, track)
+        else:
+            motion, track, report = self._follow(motion, mode)
+            closing = track
+            squeezed = self._motion(demonstration, squeezed=True, scenes=scenes)
+            if np.any(squeezed.points_base != motion.points_base):
+                closing = self._follower.follow(replace(squeezed, u0=motion.u0))
         qpos = self.target.coupled.expand(track.u)
-        squeezed, _ = self._squeezed(demonstration)
-        closing = track.u
-        if np.any(squeezed != points):
-            closing = self._solver.track(squeezed, normals, u0).u
         # a_t = q_(t+1); the last frame holds.
-        action = self.target.coupled.expand(np.concatenate([closing[1:], closing[-1:]]))
+        action = self.target.coupled.expand(np.concatenate([closing.u[1:], closing.u[-1:]]))
+        base = self._base(demonstration)
         return (
             replace(
                 demonstration,
                 embodiment=self.target.name,
                 qpos=qpos,
                 action=action,
-                scene=replace(demonstration.scene, T_world_base=self._base(demonstration)),
+                scene=replace(demonstration.scene, T_world_base=base),
                 depth_m={},
-                point_cloud_world=self._clouds(demonstration, qpos),
+                point_cloud_world=self._clouds(demonstration, scenes, qpos),
             ),
             report,
         )
 
+    def stream(self, dt_s: float | None = None, T_target_source: np.ndarray | None = None) -> "LiveTransfer":
+        """Retarget live, one configuration of the source at a time, from where `fit` starts.
+
+        Args:
+            dt_s: time between configurations; with it, joints keep their velocity limits.
+            T_target_source: (4, 4) pose of the source's base in the target's base frame; identity if None.
+        """
+        u0 = self.basins[0].u if self.basins else None
+        stream = Stream(self.problem, self.solver_options, self.init, u0, dt_s)
+        return LiveTransfer(self, stream, np.eye(4) if T_target_source is None else T_target_source)
+
+    def place_source(self, qpos: np.ndarray, T_target_source: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The source's points and normals (..., N, 3) in the target's base frame, at (..., n) joint positions."""
+        return self.source_representation.place(T_target_source @ self._source_tree.forward(qpos))
+
+    def _follow(self, motion: Motion, mode: int) -> tuple[Motion, Track, AlignmentReport]:
+        """Follow a motion from its mode's basin, or from the best of the others where that goes wrong."""
+        chosen = self._follow_from(self.basins[mode % len(self.basins)], motion)
+        (started, track), basin = chosen
+        report = self._report(started, track)
+        if report.unreachable_frames or basin.penetration_m > _TOLERATED_PENETRATION_M:
+            others = [self._follow_from(other, motion) for other in self._finalists]
+            (started, track), _ = min([chosen, *others], key=lambda x: x[1].cost)
+            report = self._report(started, track)
+        return started, track, report
+
+    def _follow_from(self, basin: Basin, motion: Motion) -> tuple[tuple[Motion, Track], Basin]:
+        points, normals = motion.points_base[:1], motion.normals_base[:1]
+        u0 = self._follower.solver.track(points, normals, basin.u, _FIRST_FRAME_ITERATIONS).u[0]
+        motion = replace(motion, u0=u0)
+        track = self._follower.follow(motion)
+        return (motion, track), judge(self._follower, [motion], basin.u, [track])
+
+    def _report(self, motion: Motion, track: Track) -> AlignmentReport:
+        o = self.solver_options
+        return make_report(
+            self.problem, motion.points_base, motion.normals_base, track, o.lambda_m, self.options.unreachable_mm
+        )
+
+    def _specified(self, demonstration: Demonstration, motion: Motion) -> Track:
+        assert self._manual is not None
+        T_target_source = np.linalg.inv(self._base(demonstration)) @ demonstration.scene.T_world_base
+        u = self._manual.track(demonstration.qpos, T_target_source)
+        placed = self.problem.place(u)
+        objective = directional_chamfer_distance(
+            motion.points_base, motion.normals_base, *placed, self.solver_options.lambda_m
+        )
+        return Track(u, objective, np.zeros(len(u), int))
+
     def _base(self, demonstration: Demonstration) -> np.ndarray:
         return demonstration.scene.T_world_base if self._T_world_target is None else self._T_world_target
 
-    def _representation(self, demonstration: Demonstration, qpos: np.ndarray | None = None):
-        """The source's points and normals (T, N, 3) in the target's base frame."""
+    def _support_z_base_m(self, demonstration: Demonstration) -> float:
+        """Height of the support surface: the workspace's floor, or lower where the source itself went lower."""
+        scene = demonstration.scene
+        lowest_world = self._source_shapes.lowest(scene.T_world_base @ self._source_tree.forward(demonstration.qpos))
+        # Bases stand upright, so a height in the world and one in the base frame differ by the base's own.
+        return min(float(scene.workspace_world[0, 2]), lowest_world) - float(self._base(demonstration)[2, 3])
+
+    def _motion(
+        self, demonstration: Demonstration, squeezed: bool = False, scenes: Sequence[np.ndarray] = ()
+    ) -> Motion:
+        """What the source's pads do, in the target's base frame.
+
+        With `squeezed`, each pad is moved along its normal by what its command asks beyond where it is, up to squeeze_m.
+        """
         T_target_source = np.linalg.inv(self._base(demonstration)) @ demonstration.scene.T_world_base
-        links = self._source_tree.forward(demonstration.qpos if qpos is None else qpos)
-        return self.source_representation.place(T_target_source @ links)
+        points, normals = self.place_source(demonstration.qpos, T_target_source)
+        if squeezed:
+            commanded = demonstration.qpos.copy()
+            hand = slice(self.source.n_arm, None)
+            commanded[:, hand] = demonstration.action[:, hand]
+            wanted, _ = self.place_source(commanded, T_target_source)
+            gap = np.einsum("tni,tni->tn", wanted - points, normals).mean(axis=1)
+            points = points + np.clip(gap, 0.0, self.options.squeeze_m)[:, None, None] * normals
+        surroundings = Surroundings(self._support_z_base_m(demonstration), self._obstacles(demonstration, scenes))
+        home = self.target.coupled.reduce(self.target.home)
+        return Motion(points, normals, home, dt_s=1.0 / demonstration.fps, surroundings=surroundings)
 
-    def _squeezed(self, demonstration: Demonstration):
-        """The same, with each pad moved along its normal by what its command asks beyond where it is, up to squeeze_m."""
-        points, normals = self._representation(demonstration)
-        commanded = demonstration.qpos.copy()
-        hand = slice(self.source.n_arm, None)
-        commanded[:, hand] = demonstration.action[:, hand]
-        wanted, _ = self._representation(demonstration, commanded)
-        gap = np.einsum("tni,tni->tn", wanted - points, normals).mean(axis=1)
-        squeeze = np.clip(gap, 0.0, self.options.squeeze_m)
-        return points + squeeze[:, None, None] * normals, normals
+    def _obstacles(self, demonstration: Demonstration, scenes: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """For each frame some points on objects, target's base frame: whatever stands on the support surface."""
+        T_base_world = np.linalg.inv(self._base(demonstration))
+        floor = demonstration.scene.workspace_world[0, 2] + _ABOVE_SUPPORT_M
+        obstacles = []
+        for scene in scenes:
+            objects = scene[scene[:, 2] > floor]
+            objects = objects[:: 1 + len(objects) // _OBSTACLE_POINTS]
+            obstacles.append(objects @ T_base_world[:3, :3].T + T_base_world[:3, 3])
+        return obstacles
 
-    def _clouds(self, demonstration: Demonstration, qpos: np.ndarray) -> np.ndarray | None:
+    def _scenes(self, demonstration: Demonstration) -> list[np.ndarray]:
+        """For each frame the recorded points (M, 3) without the source robot, world; empty where nothing was recorded."""
         recorded = demonstration.point_cloud_world
         if not demonstration.depth_m and recorded is None:
-            return None
-        scene, base = demonstration.scene, self._base(demonstration)
-        clouds = []
-        for t in range(len(demonstration)):
+            return []
+        scene = demonstration.scene
+        scenes = []
+        for t, qpos in enumerate(demonstration.qpos):
             depth = {name: images[t] for name, images in demonstration.depth_m.items()}
             points = fuse_depth(scene, depth) if recorded is None or depth else recorded[t]
-            clouds.append(
-                self._synthesise(
-                    points, scene.workspace_world, demonstration.qpos[t], scene.T_world_base, qpos[t], base
-                )
-            )
-        return np.stack(clouds)
+            scenes.append(self._synthesise.scene(points, scene.workspace_world, qpos, scene.T_world_base))
+        return scenes
+
+    def _clouds(
+        self, demonstration: Demonstration, scenes: Sequence[np.ndarray], qpos: np.ndarray
+    ) -> np.ndarray | None:
+        if not scenes:
+            return None
+        workspace, base = demonstration.scene.workspace_world, self._base(demonstration)
+        return np.stack([self._synthesise(s, workspace, q, base) for s, q in zip(scenes, qpos, strict=True)])
+
+
+class LiveTransfer:
+    """One configuration of the source in, one of the target out; see `Transfer.stream`."""
+
+    def __init__(self, transfer: Transfer, stream: Stream, T_target_source: np.ndarray) -> None:
+        self._transfer, self._stream, self._T_target_source = transfer, stream, T_target_source
+
+    def __call__(self, qpos: np.ndarray) -> np.ndarray:
+        """(n,) joint positions of the source to (n',) of the target, rad or m."""
+        points, normals = self._transfer.place_source(qpos, self._T_target_source)
+        return self._transfer.target.coupled.expand(self._stream(points, normals))
+
+    def reset(self) -> None:
+        """Start anew: the next configuration is a first frame."""
+        self._stream.reset()

@@ -10,17 +10,21 @@ from hypothesis import strategies as st
 
 from cei_gym.alignment import (
     AlignmentProblem,
+    Clearance,
+    ClearanceOptions,
+    Follower,
     InitialisationOptions,
+    Motion,
     PaperOptions,
     SolverOptions,
+    Surroundings,
     find_basins,
     judge_basins,
     make_solver,
 )
-from cei_gym.alignment.basins import active_joints, random_starts
-from cei_gym.alignment.clearance import Clearance
 from cei_gym.alignment.newton import NewtonSolver
 from cei_gym.alignment.report import make_report
+from cei_gym.alignment.starts import active_joints, random_starts
 from cei_gym.embodiment import END_EFFECTORS, load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance, sample_representation
@@ -150,15 +154,15 @@ def test_newton_is_at_least_as_good_as_the_paper(name: str, problems: dict) -> N
     options = SolverOptions(paper=PaperOptions(steps=80))
     candidates = find_basins(problem, options, points[0], normals[0], InitialisationOptions(starts=48, basins=1))
     tracks = {}
-    for backend in ("newton", "paper"):
+    for backend in ("numba", "paper"):
         solver = make_solver(problem, replace(options, backend=backend))
         tracks[backend] = solver.track(points, normals, candidates[0])
-    newton, paper = tracks["newton"], tracks["paper"]
+    newton, paper = tracks["numba"], tracks["paper"]
     assert newton.objective.mean() <= paper.objective.mean() + 1e-3
     for track in (newton, paper):  # what they report is the paper's distance of what they return
         placed = problem.place(track.u)
         expected = directional_chamfer_distance(points, normals, *placed, options.lambda_m)
-        np.testing.assert_allclose(track.objective, expected, atol=1e-9)
+        np.testing.assert_allclose(track.objective, expected, atol=1e-6)
         assert (track.iterations >= 1).all()
 
 
@@ -170,7 +174,7 @@ def test_a_known_pose_is_recovered(name: str, seed: int, problems: dict) -> None
     goal = np.where(active_joints(problem), goal, home(problem))
     points, normals = problem.place(goal[None])
     start = goal + np.random.default_rng(seed).uniform(-0.02, 0.02, len(goal)) * active_joints(problem)
-    track = NewtonSolver(problem, SolverOptions()).track(points, normals, start, 200)
+    track = NewtonSolver(problem, SolverOptions(tolerance=1e-9)).track(points, normals, start, 200)
     assert track.objective[0] == pytest.approx(-0.1, abs=1e-5)
     error = np.linalg.norm(problem.place(track.u)[0] - points, axis=-1)
     assert error.mean() < 1e-5
@@ -186,7 +190,7 @@ def test_paper_solver_recovers_a_known_pose(problems: dict) -> None:
     assert error.mean() < 2e-3
 
 
-@pytest.mark.parametrize("backend", ["newton", "paper"])
+@pytest.mark.parametrize("backend", ["numba", "paper"])
 @pytest.mark.parametrize("shift_m", [(0.0, 0.0, -0.3), (2.0, 0.0, 0.0), (0.0, 0.0, 2.0)])
 def test_limits_hold_at_every_frame(backend: str, shift_m: tuple, problems: dict) -> None:
     problem = problems["UR5e-RobotiqThreeFinger"]
@@ -248,8 +252,8 @@ def test_the_solver_keeps_nothing_between_calls(problems: dict) -> None:
 
 def test_an_unknown_backend_lists_the_valid_ones(problems: dict) -> None:
     with pytest.raises(CEIError) as error:
-        make_solver(problems["Panda-PandaGripper"], SolverOptions(backend="newtn"))
-    assert "Did you mean 'newton'? Valid: newton, paper." in str(error.value)
+        make_solver(problems["Panda-PandaGripper"], SolverOptions(backend="numpy"))
+    assert "Valid: auto, numba, torch, paper." in str(error.value)
 
 
 # -- first frame ---------------------------------------------------------------------------------------------
@@ -305,7 +309,10 @@ def test_judging_prefers_the_basin_that_stays_above_the_table(problems: dict) ->
     lowest = problem.place(u)[0][:, 2].min()
     flipped = u.copy()
     flipped[1] += 0.4  # leans down: the pads are elsewhere and the hand deeper
-    judged = judge_basins(problem, SolverOptions(iterations=0), [trajectory], np.array([flipped, u]), lowest - 0.02)
+    surroundings = Surroundings(lowest - 0.02)
+    motion = Motion(*trajectory, u, surroundings=surroundings)
+    options = SolverOptions(iterations=0, clearance=ClearanceOptions(weight=0))
+    judged = judge_basins(Follower(problem, options), [motion], np.array([flipped, u]))
     np.testing.assert_array_equal(judged[0].u, u)
     assert judged[0].cost < judged[1].cost
     assert judged[0].objective == pytest.approx(-0.1)
@@ -321,12 +328,12 @@ def test_depth_below_the_support_is_measured(name: str) -> None:
     problem = problem_of(name)
     qpos = problem.embodiment.home
     pads_z = problem.place(home(problem))[0][:, 2].min()
-    far_below, _ = Clearance(problem.embodiment, pads_z - 1.0).worst(qpos[None])
+    far_below, _ = Clearance(problem.embodiment).worst(qpos[None], pads_z - 1.0)
     assert far_below < 1e-3
     for depth in (0.01, 0.05):
-        found, _ = Clearance(problem.embodiment, pads_z + depth).worst(qpos[None])
+        found, _ = Clearance(problem.embodiment).worst(qpos[None], pads_z + depth)
         assert found >= depth - 1e-3  # the pads are a part of the hand: something is at least this deep
-    one, two = (Clearance(problem.embodiment, pads_z + d).worst(qpos[None])[0] for d in (0.1, 0.2))
+    one, two = (Clearance(problem.embodiment).worst(qpos[None], pads_z + d)[0] for d in (0.1, 0.2))
     assert two - one == pytest.approx(0.1)
 
 
@@ -334,11 +341,11 @@ def test_a_hand_in_its_own_arm_has_depth() -> None:
     embodiment = load_embodiment("UR5e-PandaGripper")
     folded = embodiment.home.copy()
     folded[2] = 3.1  # the elbow folds the wrist onto the upper arm
-    clearance = Clearance(embodiment, -10.0)
-    assert clearance.worst(embodiment.home[None])[0] == 0
-    assert clearance.worst(folded[None])[0] > 0.01
-    both = clearance.worst(np.stack([embodiment.home, folded]))
-    assert both[0] == clearance.worst(folded[None])[0]
+    clearance = Clearance(embodiment)
+    assert clearance.worst(embodiment.home[None], -10.0)[0] == 0
+    assert clearance.worst(folded[None], -10.0)[0] > 0.01
+    both = clearance.worst(np.stack([embodiment.home, folded]), -10.0)
+    assert both[0] == clearance.worst(folded[None], -10.0)[0]
 
 
 def test_static_torque_is_a_share_of_the_motors_limit() -> None:
@@ -351,11 +358,11 @@ def test_static_torque_is_a_share_of_the_motors_limit() -> None:
     limit = np.array([80.0, 80, 80, 80, 80, 12, 12])
     np.testing.assert_allclose(embodiment.model.actuator_ctrlrange[:7, 1], limit)
     expected = np.abs(data.qfrc_inverse[:7] / limit).max()
-    _, share = Clearance(embodiment, -10.0).worst(embodiment.home[None])
+    _, share = Clearance(embodiment).worst(embodiment.home[None], -10.0)
     assert share == pytest.approx(expected, rel=0.05)
     stretched = embodiment.home.copy()
     stretched[1], stretched[3] = 1.57, -0.1
-    assert Clearance(embodiment, -10.0).worst(stretched[None])[1] > share
+    assert Clearance(embodiment).worst(stretched[None], -10.0)[1] > share
 
 
 # -- report --------------------------------------------------------------------------------------------------
@@ -423,7 +430,7 @@ def test_a_source_out_of_reach_is_reported(problems: dict) -> None:
 def test_the_stand_under_the_base_is_not_to_be_entered() -> None:
     """An oracle of its own: link origins well inside the column below the base must be reported as deep in it."""
     embodiment = load_embodiment("Panda-RobotiqThreeFinger")
-    clearance = Clearance(embodiment, support_z_base_m=-10.0)
+    clearance = Clearance(embodiment)
     tree = KinematicTree(embodiment)
     rng = np.random.default_rng(0)
     qpos = embodiment.coupled.expand(
@@ -433,5 +440,5 @@ def test_the_stand_under_the_base_is_not_to_be_entered() -> None:
     inside = np.any((np.linalg.norm(origins[..., :2], axis=-1) < 0.12) & (origins[..., 2] < -0.08), axis=1)
     assert inside.any()
     for q in qpos[inside][:5]:
-        assert clearance.worst(q[None])[0] > 0.05
-    assert clearance.worst(embodiment.home[None])[0] == 0.0
+        assert clearance.worst(q[None], -10.0)[0] > 0.05
+    assert clearance.worst(embodiment.home[None], -10.0)[0] == 0.0

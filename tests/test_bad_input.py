@@ -28,7 +28,7 @@ def main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[str]
     monkeypatch.delenv("HF_TOKEN", raising=False)
     monkeypatch.chdir(tmp_path)
     # One start is enough for input that is refused, and for episodes that stand still.
-    return lambda args: convert.main([*args, "--transfer.init.starts=8", "--transfer.init.basins=1"])
+    return lambda args: convert.main([*args, "--init.starts=8", "--init.basins=1"])
 
 
 @pytest.fixture(scope="module")

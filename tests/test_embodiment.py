@@ -28,7 +28,11 @@ from cei_gym.embodiment import (
     load_end_effector,
     load_spec,
 )
-from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
+from cei_gym.embodiment.embodiment import (
+    DEFAULT_MAX_VELOCITY_M_S,
+    DEFAULT_MAX_VELOCITY_RAD_S,
+    END_EFFECTOR_PREFIX,
+)
 from cei_gym.embodiment.meshes import link_mesh, visual_link_meshes
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
@@ -59,6 +63,12 @@ ARM_URDF = """<robot name="arm">
     <limit lower="-1" upper="1" effort="1" velocity="1"/>
   </joint>
 </robot>"""
+FINGERS = """<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size="0.1"/>
+  <body name="a"><joint name="a" range="-1 1"/><geom size="0.1"/></body>
+  <body name="b"><joint name="b" range="-9 9"/><geom size="0.1"/></body>
+  <body name="c"><joint name="c" range="-9 9"/><geom size="0.1"/></body>
+  <body name="d"><joint name="d" type="slide" range="0 1"/><geom size="0.1"/></body>
+</body></worldbody></mujoco>"""
 FREE_BODY = '<mujoco><worldbody><body name="b"><freejoint/><geom size="1"/></body></worldbody></mujoco>'
 BOX = '<box size="0.1 0.1 0.1"/>'
 
@@ -221,6 +231,111 @@ def test_a_chain_of_followers_follows_its_end(tmp_path: Path) -> None:
     qpos = hand.coupled.expand(u)
     assert qpos[q["joint_r_thumb_middle"]] == pytest.approx(0.8 * 0.4 + 0.05)
     assert qpos[q["joint_r_thumb_distal"]] == pytest.approx(0.5 * (0.8 * 0.4 + 0.05) + 0.1)
+
+
+# -- velocity limits -----------------------------------------------------------------------------------------
+
+# Manufacturers' data sheets, deg/s.
+DATA_SHEETS = {
+    "UR5e": [180] * 6,
+    "IIWA": [85, 85, 100, 75, 130, 135, 135],
+    "Kinova3": [80] * 4 + [70] * 3,
+    "Panda": [124.6] * 4 + [149.5] * 3,
+}
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_arms_are_as_fast_as_their_data_sheets_say(arm: str) -> None:
+    embodiment = load_embodiment(f"{arm}-PandaGripper")
+    speeds = np.degrees(embodiment.max_velocity[: embodiment.n_arm])
+    np.testing.assert_allclose(speeds, DATA_SHEETS[arm], rtol=1e-3)
+    np.testing.assert_array_equal(embodiment.max_velocity[embodiment.n_arm :], DEFAULT_MAX_VELOCITY_M_S)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    speeds=st.lists(st.floats(0.01, 10), min_size=3, max_size=3),
+    scales=st.lists(st.sampled_from([-3.0, -0.5, 0.0, 0.25, 1.0, 2.0]), min_size=2, max_size=2),
+    ignored=st.lists(st.booleans(), min_size=2, max_size=2),
+)
+def test_at_the_largest_speed_the_slowest_joint_is_at_its_own(
+    tmp_path_factory: pytest.TempPathFactory, speeds: list[float], scales: list[float], ignored: list[bool]
+) -> None:
+    path = tmp_path_factory.mktemp("hand") / "hand.xml"
+    path.write_text(FINGERS)
+    couplings = {
+        "b": Coupling("a", scales[0], ignore_limits=ignored[0]),
+        "c": Coupling("b", scales[1], ignore_limits=ignored[1]),  # a chain: c follows a by the product
+    }
+    limits = dict(zip("abc", speeds, strict=True))
+    hand = build_embodiment(None, EndEffectorSpec("Hand", str(path), pads=[], couplings=couplings, max_velocity=limits))
+    fastest = hand.independent_max_velocity
+    assert fastest.shape == (2,)
+    assert fastest[1] == DEFAULT_MAX_VELOCITY_M_S
+    moved = np.abs(hand.coupled.expand(fastest) - hand.coupled.offset)[:3]  # of joints a, b, c in a second
+    binds = np.array([True, not ignored[0], not ignored[1]])
+    assert (moved <= np.array(speeds) * (1 + 1e-9))[binds].all()
+    assert np.isclose(moved, speeds)[binds].any()
+
+
+@needs_robots
+@pytest.mark.parametrize("path", [AG95, XHAND], ids=["ag95", "xhand"])
+def test_speeds_of_a_urdf_are_read(path: Path) -> None:
+    hand = build_embodiment(None, EndEffectorSpec("Hand", str(path), pads=[]))
+    declared = {
+        joint.get("name"): float(limit.get("velocity"))
+        for joint in ElementTree.parse(path).iter("joint")
+        if (limit := joint.find("limit")) is not None
+    }
+    expected = [declared.get(name, DEFAULT_MAX_VELOCITY_RAD_S) for name in hand.joint_names]
+    np.testing.assert_array_equal(hand.max_velocity, expected)
+    assert set(expected) & set(declared.values())
+
+
+@pytest.mark.parametrize(
+    ("velocity", "expected"),
+    [
+        ('velocity="0.7"', 0.7),
+        ('velocity="0"', DEFAULT_MAX_VELOCITY_RAD_S),
+        ('velocity="-1"', DEFAULT_MAX_VELOCITY_RAD_S),
+        ('velocity="inf"', DEFAULT_MAX_VELOCITY_RAD_S),
+        ('velocity="nan"', DEFAULT_MAX_VELOCITY_RAD_S),
+        ("", DEFAULT_MAX_VELOCITY_RAD_S),
+    ],
+)
+def test_a_speed_that_a_urdf_does_not_know_is_the_default(tmp_path: Path, velocity: str, expected: float) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF.format(geometry=BOX).replace('velocity="1"', velocity))
+    arm = ArmSpec("Arm", str(path), "link", {})
+    np.testing.assert_array_equal(build_embodiment(arm, None).max_velocity, [expected])
+    named = replace(arm, max_velocity={"turn": 0.2})
+    np.testing.assert_array_equal(build_embodiment(named, None).max_velocity, [0.2])
+
+
+def test_a_speed_that_is_no_number(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF.format(geometry=BOX).replace('velocity="1"', 'velocity="fast"'))
+    with pytest.raises(CEIError) as error:
+        build_embodiment(ArmSpec("Arm", str(path), "link", {}), None)
+    assert one_line(error) == "arm.urdf: <limit velocity='fast'> is not a number."
+
+
+def test_a_speed_for_another_parts_joint_is_refused() -> None:
+    arm, hand = load_arm("Panda"), load_end_effector("PandaGripper")
+    with pytest.raises(CEIError) as error:
+        build_embodiment(replace(arm, max_velocity={"finger_joint1": 1.0}), hand)
+    assert one_line(error).startswith("unknown joint in max_velocity of Panda 'finger_joint1'.")
+    assert one_line(error).endswith("Valid: joint1, joint2, joint3, joint4, joint5, joint6, joint7.")
+    with pytest.raises(CEIError) as error:
+        build_embodiment(arm, replace(hand, max_velocity={"joint1": 1.0}))
+    assert one_line(error).endswith("Valid: finger_joint1, finger_joint2.")
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("inf"), float("nan")])
+def test_a_speed_must_be_finite_and_above_0(speed: float) -> None:
+    with pytest.raises(CEIError) as error:
+        build_embodiment(replace(load_arm("UR5e"), max_velocity={"elbow_joint": speed}), None)
+    assert f"max_velocity of UR5e gives elbow_joint {speed:g}" in one_line(error)
 
 
 @pytest.mark.parametrize("arm", ARMS)

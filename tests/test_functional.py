@@ -22,7 +22,7 @@ from cei_gym.embodiment import (
     load_end_effector,
 )
 from cei_gym.errors import CEIError
-from cei_gym.functional import directional_chamfer_distance, sample_representation
+from cei_gym.functional import VARIANTS, directional_chamfer_distance, sample_representation
 from cei_gym.functional.representation import pad_mesh
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud.distance import square_distance
@@ -253,6 +253,72 @@ def test_sampling_is_uniform_over_triangles_of_any_size(tmp_path: Path) -> None:
     representation = sample_representation(build_embodiment(None, spec), 2000)
     np.testing.assert_allclose(representation.normals_link, np.tile([0, 0, 1], (2000, 1)), atol=1e-6)
     assert np.mean(representation.points_link[:, 0] > 0) == pytest.approx(0.5, abs=0.05)
+
+
+# -- variants ------------------------------------------------------------------------------------------------
+
+
+def by_pad(embodiment: Embodiment, points: int, seed: int, variant: str) -> list[np.ndarray]:
+    """Each pad's points and normals, (n, 6)."""
+    r = sample_representation(embodiment, points, seed, variant)
+    pairs = np.concatenate([r.points_link, r.normals_link], axis=1)
+    return [pairs[r.body == embodiment.body_id(pad.body)] for pad in embodiment.end_effector.pads]
+
+
+@pytest.mark.parametrize("name", END_EFFECTORS)
+def test_reduced_points_crowd_around_a_pads_centroid(hand: Callable, name: str) -> None:
+    embodiment = hand(name)
+    whole, middle = by_pad(embodiment, 2048, 0, "standard"), by_pad(embodiment, 512, 1, "reduced")
+    for standard, reduced in zip(whole, middle, strict=True):
+        assert 4 * len(reduced) == len(standard)
+        points, centroid = standard[:, :3], standard[:, :3].mean(0)
+        far, near = (np.linalg.norm(x[:, :3] - centroid, axis=1) for x in (standard, reduced))
+        # A quarter of the area: as far as the quarter of the standard's points that is nearest.
+        for part in (0.5, 0.9):
+            assert np.quantile(near, part) == pytest.approx(np.quantile(far, 0.25 * part), abs=2e-3)
+        assert near.max() < 0.65 * far.max()
+        # On the pad itself: each has a standard point, with the same normal, beside it.
+        apart = np.linalg.norm(reduced[:, None, :3] - points, axis=2)
+        assert apart.min(axis=1).max() < 4e-3
+        assert ((reduced[:, 3:] * standard[apart.argmin(axis=1), 3:]).sum(1) > 0.7).mean() > 0.95
+
+
+@settings(max_examples=15, deadline=None)
+@given(name=st.sampled_from(["RobotiqThreeFinger", "PandaGripper"]), points=st.integers(4, 40), seed=SEEDS)
+def test_dropped_points_are_half_of_each_pads_standard_points(name: str, points: int, seed: int) -> None:
+    embodiment = build_embodiment(None, load_end_effector(name))
+    whole, half = (by_pad(embodiment, points, seed, variant) for variant in ("standard", "dropped"))
+    for standard, dropped in zip(whole, half, strict=True):
+        assert 2 * len(dropped) in (len(standard), len(standard) + 1)
+        assert len(dropped) > 0
+        kept = {tuple(row) for row in dropped}
+        assert len(kept) == len(dropped)
+        assert kept <= {tuple(row) for row in standard}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_variants_are_decided_by_their_seed(hand: Callable, variant: str) -> None:
+    embodiment = hand("RobotiqThreeFinger")
+    first, again, other = (sample_representation(embodiment, 32, seed, variant).points_link for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert not np.isclose(first, other).any()
+
+
+def test_the_dropped_points_are_drawn_at_random(hand: Callable) -> None:
+    """Not the first half: over seeds, any position in the standard's order is kept as often as any other."""
+    embodiment, kept = hand("PandaGripper"), np.zeros(16)
+    for seed in range(60):
+        whole, half = (by_pad(embodiment, 32, seed, variant)[0] for variant in ("standard", "dropped"))
+        kept += (whole[:, None] == half).all(axis=2).any(axis=1)
+    assert kept.sum() == 60 * 8
+    assert kept.min() > 12
+    assert kept.max() < 48
+
+
+def test_an_unknown_variant_lists_the_valid_ones(hand: Callable) -> None:
+    with pytest.raises(CEIError) as error:
+        sample_representation(hand("PandaGripper"), 8, 0, "reduce")
+    assert "Did you mean 'reduced'? Valid: standard, reduced, dropped." in str(error.value)
 
 
 @pytest.mark.parametrize("name", END_EFFECTORS)

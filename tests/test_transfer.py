@@ -20,8 +20,9 @@ from cei_gym.transfer import Transfer, TransferOptions
 
 FRAMES = 12
 SOURCE, TARGETS = "Panda-PandaGripper", ("UR5e-RobotiqThreeFinger", "IIWA-Inspire")
-OPTIONS = TransferOptions(points=32, robot_points=4096, init=InitialisationOptions(starts=48, iterations=15, basins=3))
-TABLE_Z = 0.05
+OPTIONS = TransferOptions(points=32, robot_points=4096)
+INIT = InitialisationOptions(starts=48, iterations=15, basins=3)
+TABLE_Z = 0.0
 T_WORLD_BASE = np.array([[0.0, -1, 0, 0.2], [1, 0, 0, -0.5], [0, 0, 1, 0.0], [0, 0, 0, 1]])
 
 
@@ -78,7 +79,7 @@ def transfer() -> Callable[..., Transfer]:
         key = (target, *changes.items())
         if key not in fitted:
             options = replace(OPTIONS, **changes)
-            fitted[key] = Transfer(load_embodiment(SOURCE), load_embodiment(target), options)
+            fitted[key] = Transfer(load_embodiment(SOURCE), load_embodiment(target), options, init=INIT)
             fitted[key].fit([demonstration()])
         return fitted[key]
 
@@ -132,7 +133,7 @@ def test_without_squeeze_actions_are_the_next_states(target: str, transfer: Call
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_squeeze_closes_actions_and_leaves_states(target: str, transfer: Callable) -> None:
     fitted = transfer(target)
-    loose = Transfer(load_embodiment(SOURCE), load_embodiment(target), replace(OPTIONS, squeeze_m=0.0))
+    loose = Transfer(load_embodiment(SOURCE), load_embodiment(target), replace(OPTIONS, squeeze_m=0.0), init=INIT)
     loose.basins = fitted.basins  # the choice of a basin looks at squeezed pads
     plain, _ = loose(demonstration())
     squeezed, _ = fitted(demonstration())
@@ -147,12 +148,12 @@ def test_a_squeeze_closes_actions_and_leaves_states(target: str, transfer: Calla
 def test_a_squeeze_asks_for_no_more_than_the_source_did(transfer: Callable) -> None:
     """Each pad moves by what the command goes beyond the state, at most squeeze_m."""
     fitted = transfer(TARGETS[0])
-    observed, normals = fitted._representation(demonstration())
+    observed = fitted._motion(demonstration())
     for asked, expected in ((0.012, 0.003), (0.0, 0.010), (0.030, 0.0)):
         action = demonstration().action.copy()
         action[-1, 7:] = asked * np.array([1, -1])
-        points, _ = fitted._squeezed(demonstration(action=action))
-        along = np.einsum("ni,ni->n", (points - observed)[-1], normals[-1])
+        points = fitted._motion(demonstration(action=action), squeezed=True).points_base
+        along = np.einsum("ni,ni->n", (points - observed.points_base)[-1], observed.normals_base[-1])
         np.testing.assert_allclose(along, expected, atol=1e-9)
 
 
@@ -160,7 +161,7 @@ def test_the_same_transfer_twice_is_the_same(transfer: Callable) -> None:
     target = TARGETS[0]
     first, _ = transfer(target)(demonstration())
     again, _ = transfer(target)(demonstration())
-    fresh = Transfer(load_embodiment(SOURCE), load_embodiment(target), OPTIONS)
+    fresh = Transfer(load_embodiment(SOURCE), load_embodiment(target), OPTIONS, init=INIT)
     afresh, _ = fresh(demonstration())  # fits itself to the first demonstration it sees
     for other in (again, afresh):
         np.testing.assert_array_equal(other.qpos, first.qpos)
@@ -179,7 +180,7 @@ def test_one_basin_serves_all_demonstrations(transfer: Callable) -> None:
 def test_the_targets_base_may_stand_elsewhere() -> None:
     body, turn = load_embodiment(TARGETS[0]), np.eye(4)
     turn[:3, 3] = 0.1, -0.1, 0.05
-    fitted = Transfer(load_embodiment(SOURCE), body, OPTIONS, T_world_target=turn @ T_WORLD_BASE)
+    fitted = Transfer(load_embodiment(SOURCE), body, OPTIONS, init=INIT, T_world_target=turn @ T_WORLD_BASE)
     moved, report = fitted(demonstration())
     np.testing.assert_allclose(moved.scene.T_world_base, turn @ T_WORLD_BASE)
     assert report.pad_distance_mm.max() < 15
@@ -192,7 +193,7 @@ def test_the_targets_base_may_stand_elsewhere() -> None:
 
 
 def test_a_source_transferred_to_itself_stays_what_it_is() -> None:
-    fitted = Transfer(load_embodiment(SOURCE), load_embodiment(SOURCE), replace(OPTIONS, squeeze_m=0))
+    fitted = Transfer(load_embodiment(SOURCE), load_embodiment(SOURCE), replace(OPTIONS, squeeze_m=0), init=INIT)
     moved, report = fitted(demonstration())
     assert report.pad_distance_mm.max() < 0.5
     np.testing.assert_allclose(moved.qpos[:, 7:], demonstration().qpos[:, 7:], atol=5e-4)

@@ -1,21 +1,47 @@
 """Trajectory alignment: the target's joints that make its pads do what the source's did (the paper's section IV-B)."""
 
-from cei_gym.alignment.basins import Basin, InitialisationOptions, find_basins, judge_basins
-from cei_gym.alignment.problem import AlignmentProblem, PaperOptions, Solver, SolverOptions, Track
-from cei_gym.alignment.report import AlignmentReport
+from cei_gym.alignment.basins import Basin, choose_modes, judge, judge_basins
+from cei_gym.alignment.clearance import Clearance
+from cei_gym.alignment.follow import Follower
+from cei_gym.alignment.links import link_shapes
+from cei_gym.alignment.manual import ManualAlignment
+from cei_gym.alignment.problem import (
+    AlignmentProblem,
+    ClearanceOptions,
+    Motion,
+    PaperOptions,
+    Solver,
+    SolverOptions,
+    Surroundings,
+    Track,
+)
+from cei_gym.alignment.report import AlignmentReport, make_report
 from cei_gym.alignment.solvers import BACKENDS, make_solver
+from cei_gym.alignment.starts import InitialisationOptions, find_basins
+from cei_gym.alignment.stream import Stream
 
 __all__ = [
     "BACKENDS",
     "AlignmentProblem",
     "AlignmentReport",
     "Basin",
+    "Clearance",
+    "ClearanceOptions",
+    "Follower",
     "InitialisationOptions",
+    "ManualAlignment",
+    "Motion",
     "PaperOptions",
     "Solver",
     "SolverOptions",
+    "Stream",
+    "Surroundings",
     "Track",
+    "choose_modes",
     "find_basins",
+    "judge",
     "judge_basins",
+    "link_shapes",
+    "make_report",
     "make_solver",
 ]

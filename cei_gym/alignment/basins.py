@@ -1,57 +1,45 @@
-"""Where frame 0 starts: many random starts, few distinct basins, and the one whose whole trajectory is best.
+"""Which frame-0 solution to follow: the one whose whole trajectories cost least.
 
-Basins within a millimetre of each other in objective can put a hand into its own forearm or under the table, which shows
-only later in the episode, so candidates are judged by tracking whole demonstrations.
+Solutions within a millimetre of each other in objective can put a hand into its own forearm or under the table, which shows
+only later in the episode, so candidates are judged by following whole demonstrations.
 """
 
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cei_gym.alignment.clearance import Clearance
-from cei_gym.alignment.newton import NewtonSolver
-from cei_gym.alignment.problem import AlignmentProblem, SolverOptions, Track
+from cei_gym.alignment.follow import Follower
+from cei_gym.alignment.problem import Motion, Track
+from cei_gym.errors import CEIError
 
-_SAME_BASIN_RAD = 0.15
 _PENETRATION_WEIGHT = 1.0  # metres of objective a metre of penetration
 _TORQUE_WEIGHT = 0.05  # metres of objective for static torque a full limit above the allowed share
 _TORQUE_SHARE = 0.8
-_JUMP_WEIGHT = 0.05  # metres of objective a radian above the allowed step
-_JUMP_RAD = 0.25
+_LAG_WEIGHT = 0.05  # metres of objective if some joint moves as fast as it can in all frames
+_MARGIN_WEIGHT = 0.01  # metres of objective if some arm joint is near a limit in all frames
+_NEAR_LIMIT_RAD = 0.05
+_APART_RAD = 0.5  # some joint of two modes differs by this much
+_WORSE_M = 0.01  # how much more than the best a further mode may cost
 _CHECKED_FRAMES = 20  # of each demonstration, for penetration and torque
 
 
 @dataclass(frozen=True)
-class InitialisationOptions:
-    """Options of the multi-start.
-
-    Attributes:
-        starts: random starts on frame 0.
-        iterations: most iterations a start.
-        basins: distinct basins that are judged on whole demonstrations.
-        seed: of the random starts.
-    """
-
-    starts: int = 256
-    iterations: int = 20
-    basins: int = 32
-    seed: int = 0
-
-
-@dataclass(frozen=True)
 class Basin:
-    """A frame-0 solution and what following it through a demonstration costs.
+    """A frame-0 solution and what following it through demonstrations costs.
 
     Attributes:
         u: (m,) independent joints at frame 0, rad or m.
         cost: metres; mean objective plus penalties (lower is better).
-        objective: metres; mean DCD over the demonstration.
+        objective: metres; mean DCD over the demonstrations.
         penetration_m: deepest contact of the target with itself, the support surface or its stand.
         torque_share: largest static joint torque as a share of its limit.
+        lag_share: share of frames in which a joint moves as fast as it can.
+        limit_share: share of frames in which an arm joint is near one of its limits.
         joint_step_rad: largest joint step between frames.
+        u_last: (m,) independent joints where the first demonstration ends, rad or m.
     """
 
     u: np.ndarray
@@ -59,91 +47,73 @@ class Basin:
     objective: float
     penetration_m: float
     torque_share: float
+    lag_share: float
+    limit_share: float
     joint_step_rad: float
+    u_last: np.ndarray
 
 
-def active_joints(problem: AlignmentProblem) -> np.ndarray:
-    """(m,) which independent joints move a pad at all; the others keep their home position."""
-    arrays, coupled = problem.tree.arrays, problem.embodiment.coupled
-    active = np.zeros(len(coupled.independent), bool)
-    for body in np.unique(problem.representation.body):
-        joint = arrays.body_joint[body]
-        while joint >= 0:
-            active[coupled.leader[joint]] = True
-            joint = arrays.joint_parent[joint]
-    return active
-
-
-def random_starts(problem: AlignmentProblem, n: int, seed: int) -> np.ndarray:
-    """(n, m) independent joints, uniform within limits and within pi of home, so that no joint starts wrapped."""
-    lower, upper = problem.embodiment.independent_limits
-    home = problem.embodiment.coupled.reduce(problem.embodiment.home)
-    lower, upper = np.maximum(lower, home - np.pi), np.minimum(upper, home + np.pi)
-    u = np.random.default_rng(seed).uniform(lower, upper, (n, len(home)))
-    return np.where(active_joints(problem), u, home)
-
-
-def find_basins(
-    problem: AlignmentProblem,
-    solver: SolverOptions,
-    points_base,
-    normals_base,
-    options: InitialisationOptions,
-) -> np.ndarray:
-    """Distinct frame-0 solutions, best first.
-
-    Args:
-        points_base, normals_base: (N, 3) the source's representation at frame 0, target's base frame.
-
-    Returns:
-        (K, m) with K <= options.basins.
-    """
-    newton = NewtonSolver(problem, solver)
-    points, normals = points_base[None], normals_base[None]
-
-    def solve(u0, iterations: int) -> Track:
-        return newton.track(points, normals, u0, iterations)
-
-    starts = random_starts(problem, options.starts, options.seed)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        tracks = list(pool.map(lambda u0: solve(u0, options.iterations), starts))
-    order = np.argsort([t.objective[0] for t in tracks], kind="stable")
-    kept: list[np.ndarray] = []
-    for i in order:
-        u = solve(tracks[i].u[0], 200).u[0]
-        if all(np.abs(u - other).max() > _SAME_BASIN_RAD for other in kept):
-            kept.append(u)
-        if len(kept) == options.basins:
-            break
-    return np.array(kept)
-
-
-def judge_basins(
-    problem: AlignmentProblem,
-    solver: SolverOptions,
-    trajectories: Sequence[tuple[np.ndarray, np.ndarray]],
-    basins: np.ndarray,
-    support_z_base_m: float,
-) -> list[Basin]:
+def judge_basins(follower: Follower, motions: Sequence[Motion], basins: np.ndarray) -> list[Basin]:
     """Follow each basin through whole demonstrations; best first.
 
     Args:
-        trajectories: points and normals (T, N, 3) of each demonstration, target's base frame.
+        motions: the demonstrations; their `u0` is replaced by each basin.
         basins: (K, m) frame-0 solutions.
-        support_z_base_m: height of the support surface in the target's base frame.
     """
-    newton = NewtonSolver(problem, solver)
-    clearance = Clearance(problem.embodiment, support_z_base_m)
-
-    def judge(u0: np.ndarray) -> Basin:
-        tracks = [newton.track(points, normals, u0) for points, normals in trajectories]
-        seen = np.concatenate([t.u[:: max(1, len(t.u) // _CHECKED_FRAMES)] for t in tracks])
-        objective = float(np.mean(np.concatenate([t.objective for t in tracks])))
-        step = max(float(np.abs(np.diff(t.u, axis=0)).max(initial=0.0)) for t in tracks)
-        penetration, torque = clearance.worst(problem.embodiment.coupled.expand(seen))
-        cost = objective + _PENETRATION_WEIGHT * penetration
-        cost += _TORQUE_WEIGHT * max(0.0, torque - _TORQUE_SHARE) + _JUMP_WEIGHT * max(0.0, step - _JUMP_RAD)
-        return Basin(u0, cost, objective, penetration, torque, step)
-
+    tracks = follower.follow_all([replace(motion, u0=u0) for u0 in basins for motion in motions])
+    each = [tracks[i * len(motions) : (i + 1) * len(motions)] for i in range(len(basins))]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return sorted(pool.map(judge, basins), key=lambda b: b.cost)
+        judged = list(pool.map(lambda x: judge(follower, motions, *x), zip(basins, each, strict=True)))
+    return sorted(judged, key=lambda b: b.cost)
+
+
+def choose_modes(basins: Sequence[Basin], modes: int) -> list[Basin]:
+    """The best basin, then the best that differ from those chosen where motions start and still where they end.
+
+    Args:
+        basins: judged, best first.
+        modes: how many are wanted.
+
+    Raises:
+        CEIError: there are fewer that are as free of penetration and nearly as close as the best.
+    """
+
+    def apart(a: Basin, b: Basin) -> bool:
+        return min(np.abs(a.u - b.u).max(), np.abs(a.u_last - b.u_last).max()) > _APART_RAD
+
+    chosen = [basins[0]]
+    for basin in basins[1:]:
+        valid = basin.cost - basins[0].cost < _WORSE_M
+        if len(chosen) < modes and valid and all(apart(basin, other) for other in chosen):
+            chosen.append(basin)
+    if len(chosen) < modes:
+        raise CEIError(
+            f"init.modes={modes}, but only {len(chosen)} distinct good motions were found; ask for fewer, or raise "
+            "init.starts and init.basins."
+        )
+    return chosen
+
+
+def judge(follower: Follower, motions: Sequence[Motion], u0: np.ndarray, tracks: Sequence[Track]) -> Basin:
+    """What a basin's tracks cost."""
+    embodiment = follower.problem.embodiment
+    lower, upper = embodiment.independent_limits
+    arm = embodiment.coupled.independent < embodiment.n_arm
+    u = np.concatenate([t.u for t in tracks])
+    near = np.minimum(u - lower, upper - u) < _NEAR_LIMIT_RAD
+    step, lag, penetration, torque = 0.0, 0, 0.0, 0.0
+    for motion, track in zip(motions, tracks, strict=True):
+        moved = np.abs(np.diff(track.u, axis=0))
+        step = max(step, float(moved.max(initial=0.0)))
+        if motion.dt_s and follower.options.velocity_scale > 0:
+            fastest = embodiment.independent_max_velocity * motion.dt_s * follower.options.velocity_scale
+            lag += int(np.any(moved > 0.999 * fastest, axis=1).sum())
+        qpos = embodiment.coupled.expand(track.u[:: max(1, len(track.u) // _CHECKED_FRAMES)])
+        support_z = motion.surroundings.support_z_base_m if motion.surroundings else -np.inf
+        deepest, hardest = follower.clearance.worst(qpos, support_z)
+        penetration, torque = max(penetration, deepest), max(torque, hardest)
+    objective = float(np.mean(np.concatenate([t.objective for t in tracks])))
+    lag_share, limit_share = lag / len(u), float(near[:, arm].any(axis=1).mean())
+    cost = objective + _PENETRATION_WEIGHT * penetration + _TORQUE_WEIGHT * max(0.0, torque - _TORQUE_SHARE)
+    cost += _LAG_WEIGHT * lag_share + _MARGIN_WEIGHT * limit_share
+    return Basin(u0, cost, objective, penetration, torque, lag_share, limit_share, step, tracks[0].u[-1])

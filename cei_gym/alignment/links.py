@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cei_gym.alignment.kernels.keep_out import KeepOut
-from cei_gym.alignment.problem import AlignmentProblem, ClearanceOptions
+from cei_gym.alignment.problem import AlignmentProblem, ClearanceOptions, Surroundings
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
 from cei_gym.embodiment.meshes import collision_geoms, link_mesh
 from cei_gym.kinematics import KinematicTree
-from cei_gym.kinematics.joints import reduce_to_joints
+from cei_gym.kinematics.joints import JointTree, reduce_to_joints
 
 _OUTERMOST = 128  # directions in which a link's outermost vertices are kept
 _SIDES = 64  # directions that bound a link against points
@@ -28,6 +28,14 @@ class LinkShapes:
     body: np.ndarray
     hand: np.ndarray
     vertices_link: list[np.ndarray]
+
+    def lowest(self, T_links: np.ndarray) -> float:
+        """Height of the lowest vertex over (T, L, 4, 4) poses, in their frame, m."""
+        heights = [
+            (T_links[:, body, 2, :3] @ vertices.T).min(axis=1) + T_links[:, body, 2, 3]
+            for body, vertices in zip(self.body, self.vertices_link, strict=True)
+        ]
+        return float(np.min(heights))
 
 
 def link_shapes(embodiment: Embodiment) -> LinkShapes:
@@ -58,9 +66,12 @@ def idle_bodies(problem: AlignmentProblem) -> np.ndarray:
 def keep_out_links(problem: AlignmentProblem, options: ClearanceOptions) -> KeepOut:
     """The links for compiled code; the support's height is still to be set."""
     shapes = link_shapes(problem.embodiment)
-    _, attachment = reduce_to_joints(problem.tree.arrays)
+    joints, attachment = reduce_to_joints(problem.tree.arrays)
     idle = idle_bodies(problem)[shapes.body]
     moving = attachment.joint[shapes.body] >= 0
+    # What only turns about a vertical axis at the base stays at its height: a shoulder on the table is where it must be.
+    turns_in_place = joints.hinge & (joints.parent < 0) & (np.abs(_axis_base(joints)[:, 2]) > 0.999)
+    moving &= ~turns_in_place[attachment.joint[shapes.body]]
     shapes = LinkShapes(
         shapes.body[moving], shapes.hand[moving], [v for v, m in zip(shapes.vertices_link, moving, strict=True) if m]
     )
@@ -84,9 +95,23 @@ def keep_out_links(problem: AlignmentProblem, options: ClearanceOptions) -> Keep
     )
 
 
+def pack_obstacles(surroundings: Surroundings | None, frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """(P, 3) points of all frames in one array, and (T + 1,) where each frame's start."""
+    points = () if surroundings is None else surroundings.obstacles_base
+    start = np.zeros(frames + 1, np.int64)
+    if len(points):
+        start[1:] = np.cumsum([len(p) for p in points])
+    return np.concatenate([np.zeros((0, 3)), *points]), start
+
+
 def _outermost(vertices: np.ndarray) -> np.ndarray:
     """The vertices (V, 3) that lie farthest out in evenly spread directions: enough to tell which touches a plane."""
     return vertices[np.unique((vertices @ _spread_directions(_OUTERMOST).T).argmax(axis=0))]
+
+
+def _axis_base(joints: JointTree) -> np.ndarray:
+    """(n, 3) axes in the frame of each joint's parent: the base frame for those that have none."""
+    return np.einsum("nij,nj->ni", joints.rot, joints.axis)
 
 
 def _spread_directions(n: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from cei_gym.errors import CEIError
 from cei_gym.functional.representation import FunctionalRepresentation, sample_representation
 from cei_gym.kinematics.tree import KinematicTree
 
-_POINTS = 512  # put a pad's centroid within 0.5 mm
+_POINTS = 512  # enough for a pad's centroid to a millimetre
 _CLOSINGS = np.linspace(0.0, 1.0, 257)
 _STARTS = 8
 _SPREAD_RAD = 0.7
@@ -91,8 +91,8 @@ class ManualAlignment:
     def track(self, qpos_source: np.ndarray, T_target_source: np.ndarray) -> np.ndarray:
         """Follow a trajectory: the arm by inverse kinematics of the tool frame, the hand by the aperture.
 
-        Frame 0 starts from the home pose; from poses around it where the trajectory cannot be followed from there. Frames
-        out of reach come as near as they can, within limits.
+        Frame 0 starts from the home pose, or from one around it where the trajectory cannot be followed from there. Frames
+        out of reach come near, within limits.
 
         Args:
             qpos_source: (T, n) the source's joint positions, rad or m.
@@ -152,7 +152,9 @@ class ManualAlignment:
         model = copy(embodiment.model)  # with the embodiment's limits, which may be tighter than the description's
         model.jnt_limited[:], model.jnt_range[:] = 1, np.stack([embodiment.lower, embodiment.upper], axis=1)
         configuration, limits = mink.Configuration(model, start), [mink.ConfigurationLimit(model)]
-        task = mink.FrameTask(model.body(self.target.flange).name, "body", 1.0, 0.5, lm_damping=1e-2)
+        task = mink.FrameTask(
+            model.body(self.target.flange).name, "body", position_cost=1.0, orientation_cost=0.5, lm_damping=1.0
+        )
         qpos, error = [], []
         for T in T_flange:
             task.set_target(mink.SE3.from_matrix(T))

@@ -15,7 +15,7 @@ from cei_gym.alignment.kernels.distance import evaluate
 from cei_gym.alignment.kernels.frame import Settings, empty_memory, solve_frame
 from cei_gym.alignment.kernels.quadratic import add_distance, project
 from cei_gym.alignment.kernels.target import load_source, make_target
-from cei_gym.alignment.links import keep_nothing_out, keep_out_links
+from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
 from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Surroundings, Track
 
 
@@ -46,6 +46,26 @@ def _track(target, points, normals, settings, keep_out, obstacles, obstacle_star
         last[:] = u
         us[t] = u
     return us, dcds, spent
+
+
+@njit(cache=True, nogil=True)
+def _solve_starts(target, points, normals, settings, keep_out, starts):
+    us, dcds = np.empty_like(starts), np.empty(len(starts))
+    memory = empty_memory(target, len(points))
+    nothing = np.empty((0, 3))
+    for i in range(len(starts)):
+        u = np.minimum(np.maximum(starts[i], target.lower), target.upper)
+        dcds[i], _ = solve_frame(target, points, normals, settings, keep_out, nothing, -1.0, u, u, memory, u)
+        us[i] = u
+    return us, dcds
+
+
+@njit(cache=True, nogil=True)
+def _advance(target, points, normals, settings, keep_out, dt_s, last, before):
+    u = np.minimum(np.maximum(last, target.lower), target.upper)
+    memory = empty_memory(target, len(points))
+    solve_frame(target, points, normals, settings, keep_out, np.empty((0, 3)), dt_s, last, before, memory, u)
+    return u
 
 
 class NewtonSolver:
@@ -80,14 +100,10 @@ class NewtonSolver:
     ) -> Track:
         """See `Solver.track`."""
         target, keep_out = self._free
-        obstacles: Sequence[np.ndarray] = ()
         if surroundings is not None:
             target, keep_out = self._guarded
             keep_out = keep_out._replace(height_m=float(surroundings.support_z_base_m))
-            obstacles = surroundings.obstacles_base
-        start = np.zeros(len(points_base) + 1, np.int64)
-        if len(obstacles):
-            start[1:] = np.cumsum([len(points) for points in obstacles])
+        obstacles, obstacle_start = pack_obstacles(surroundings, len(points_base))
         settings = self._settings if iterations is None else self._settings._replace(iterations=iterations)
         u, objective, spent = _track(
             target,
@@ -95,8 +111,8 @@ class NewtonSolver:
             np.ascontiguousarray(normals_base, float),
             settings,
             keep_out,
-            np.concatenate([np.zeros((0, 3)), *obstacles]),
-            start,
+            obstacles,
+            obstacle_start,
             (dt_s or 0.0) * self.options.velocity_scale,
             np.ascontiguousarray(u0, float),
         )
@@ -106,6 +122,37 @@ class NewtonSolver:
         """See `Solver.track_all`."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return list(pool.map(lambda m: self.track(**vars(m)), motions))
+
+    def advance(self, points_base, normals_base, last, before, dt_s: float | None = None) -> np.ndarray:
+        """One more frame, (N, 3) each, after the last two solutions (m,); the new one."""
+        target, keep_out = self._free
+        return _advance(
+            target,
+            np.ascontiguousarray(points_base, float),
+            np.ascontiguousarray(normals_base, float),
+            self._settings,
+            keep_out,
+            (dt_s or 0.0) * self.options.velocity_scale,
+            last,
+            before,
+        )
+
+    def solve_starts(self, points_base, normals_base, starts, iterations: int) -> tuple[np.ndarray, np.ndarray]:
+        """Solve one frame, (N, 3) each, from many starts.
+
+        Returns:
+            (S, m) independent joints and (S,) DCD, metres.
+        """
+        points, normals = np.ascontiguousarray(points_base, float), np.ascontiguousarray(normals_base, float)
+        settings = self._settings._replace(iterations=iterations)
+
+        def solve(some: np.ndarray):
+            return _solve_starts(self._target, points, normals, settings, self._free[1], some)
+
+        cores = os.cpu_count() or 1
+        with ThreadPoolExecutor(cores) as pool:
+            found = list(pool.map(solve, np.array_split(np.ascontiguousarray(starts, float), 4 * cores)))
+        return np.concatenate([u for u, _ in found]), np.concatenate([dcd for _, dcd in found])
 
     def derivatives(self, points_base, normals_base, u):
         """DCD, gradient (m,) and majoriser's Hessian (m, m) at one frame, for inspection and tests."""

@@ -1,9 +1,11 @@
 """The paper's solver, as the reference: pytorch-kinematics, autograd, Adam, frame by frame (sections IV-B and V-A)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
-from cei_gym.alignment.problem import AlignmentProblem, SolverOptions, Track
+from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Track
 from cei_gym.functional.distance import directional_chamfer_distance
 from cei_gym.kinematics.torch_chain import TorchChain
 
@@ -23,8 +25,14 @@ class PaperSolver:
         self._A, self._b = tensor(embodiment.coupled.A), tensor(embodiment.coupled.offset)
         self._lower, self._upper = (tensor(x) for x in embodiment.independent_limits)
 
-    def track(self, points_base, normals_base, u0, iterations: int | None = None) -> Track:
-        """See `Solver.track`; `iterations` are Adam steps."""
+    def track_all(self, motions: Sequence[Motion]) -> list[Track]:
+        """See `Solver.track_all`; one after the other."""
+        return [self.track(**vars(motion)) for motion in motions]
+
+    def track(
+        self, points_base, normals_base, u0, iterations: int | None = None, dt_s=None, surroundings=None
+    ) -> Track:
+        """See `Solver.track`; `iterations` are Adam steps. The paper knows neither velocity limits nor surroundings."""
         points, normals = self._tensor(points_base), self._tensor(normals_base)
         u, us, objectives, spent = self._tensor(u0), [], [], []
         for t in range(len(points)):

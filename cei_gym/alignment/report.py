@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cei_gym.alignment.kernels.distance import matched
+from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.problem import AlignmentProblem, Track
-from cei_gym.functional.distance import pair_cost
 
 _AT_LIMIT = 1e-6
 
@@ -60,21 +61,19 @@ def make_report(
     unreachable_mm: float,
 ) -> AlignmentReport:
     """Diagnose a track against the (T, N, 3) source representation that it followed."""
-    distance, angle = np.empty(len(track.u)), np.empty(len(track.u))
-    placed = problem.place(track.u)
-    # Frame by frame: all pairs of all frames at once would grow with the episode.
-    for t, (p, n, q, m) in enumerate(zip(points_base, normals_base, *placed, strict=True)):
-        cost = pair_cost(p, n, q, m, lambda_m)
-        i, j = np.arange(cost.shape[0]), np.arange(cost.shape[1])
-        i, j = np.concatenate([i, cost.argmin(0)]), np.concatenate([cost.argmin(1), j])
-        distance[t] = 1e3 * np.linalg.norm(p[i] - q[j], axis=1).mean()
-        angle[t] = np.degrees(np.arccos(np.clip(np.sum(n[i] * m[j], axis=1), -1, 1))).mean()
+    distance, angle = matched(
+        make_target(problem.representation, problem.tree),
+        np.ascontiguousarray(points_base, float),
+        np.ascontiguousarray(normals_base, float),
+        np.ascontiguousarray(track.u, float),
+        float(lambda_m),
+    )
     lower, upper = problem.embodiment.independent_limits
     at_limit = (track.u <= lower + _AT_LIMIT) | (track.u >= upper - _AT_LIMIT)
     step = np.abs(np.diff(problem.embodiment.coupled.expand(track.u), axis=0, prepend=np.nan)).max(axis=1)
     return AlignmentReport(
-        pad_distance_mm=distance,
-        normal_angle_deg=angle,
+        pad_distance_mm=1e3 * distance,
+        normal_angle_deg=np.degrees(angle),
         objective_m=track.objective,
         iterations=track.iterations,
         limit_hits=at_limit.sum(axis=1),

@@ -15,8 +15,12 @@ def make_solver(problem: AlignmentProblem, options: SolverOptions) -> Solver:
     """
     if options.backend in ("auto", "numba"):
         return NewtonSolver(problem, options)
+    if options.backend == "torch":
+        from cei_gym.alignment.newton_torch import TorchNewtonSolver  # torch takes seconds to import
+
+        return TorchNewtonSolver(problem, options)
     if options.backend == "paper":
-        from cei_gym.alignment.paper import PaperSolver  # torch takes seconds to import
+        from cei_gym.alignment.paper import PaperSolver
 
         return PaperSolver(problem, options)
     raise unknown("solver backend", options.backend, BACKENDS)

@@ -268,8 +268,10 @@ def _max_velocity(
 ) -> np.ndarray:
     speeds = dict(declared)
     for part, prefix in ((arm, ""), (end_effector, END_EFFECTOR_PREFIX)):
+        if part is None:
+            continue
         joints = [n for n in names if n.startswith(END_EFFECTOR_PREFIX) == bool(prefix)]
-        for joint, speed in {} if part is None else part.max_velocity.items():
+        for joint, speed in part.max_velocity.items():
             if prefix + joint not in joints:
                 raise unknown(f"joint in max_velocity of {part.name}", joint, map(_public, joints))
             if not 0 < speed < np.inf:

@@ -37,28 +37,45 @@ class CloudSynthesiser:
         self._sample = SurfaceSampler(visual_link_meshes(target.model), robot_points, seed)
         self._cloud_points, self._seed = cloud_points, seed
 
-    def __call__(
+    def scene(
         self,
         points_world: np.ndarray,
         workspace_world: np.ndarray,
         source_qpos: np.ndarray,
         T_world_source: np.ndarray,
+    ) -> np.ndarray:
+        """One frame's recorded points without the source robot.
+
+        Args:
+            points_world: (N, 3) recorded points, m; points that are not finite are dropped.
+            workspace_world: (2, 3) box, m.
+            source_qpos: joint positions of the source at this frame.
+            T_world_source: (4, 4) pose of its base.
+
+        Returns:
+            (M, 3) m, world.
+        """
+        scene = points_world[crop(points_world, workspace_world)]
+        return scene[~self._mask(scene, T_world_source @ self._source.forward(source_qpos))]
+
+    def __call__(
+        self,
+        scene_world: np.ndarray,
+        workspace_world: np.ndarray,
         target_qpos: np.ndarray,
         T_world_target: np.ndarray,
     ) -> np.ndarray:
         """The target's cloud of one frame.
 
         Args:
-            points_world: (N, 3) recorded points, m; points that are not finite are dropped.
+            scene_world: (M, 3) what `scene` returned.
             workspace_world: (2, 3) box, m.
-            source_qpos, target_qpos: joint positions of the two robots at this frame.
-            T_world_source, T_world_target: (4, 4) poses of their bases.
+            target_qpos: joint positions of the target at this frame.
+            T_world_target: (4, 4) pose of its base.
 
         Returns:
             (cloud_points, 3) float32, m, world.
         """
-        scene = points_world[crop(points_world, workspace_world)]
-        scene = scene[~self._mask(scene, T_world_source @ self._source.forward(source_qpos))]
         robot = self._sample(T_world_target @ self._target.forward(target_qpos))
         robot = robot[crop(robot, workspace_world)]
-        return farthest_point_sample(np.concatenate([scene, robot]), self._cloud_points, self._seed)
+        return farthest_point_sample(np.concatenate([scene_world, robot]), self._cloud_points, self._seed)

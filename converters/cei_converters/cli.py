@@ -40,6 +40,8 @@ def _normalised(args: Sequence[str], options: dict[str, object]) -> list[str]:
     normalised = []
     for position, arg in enumerate(args):
         name, has_value, _ = arg.removeprefix("--").partition("=")
+        if arg.startswith("--") and name not in options and f"{name}.method" in options:
+            arg, name = f"--{name}.method" + arg.removeprefix(f"--{name}"), f"{name}.method"  # --init=eis
         if arg.startswith("--") and name not in ("help", "config_path"):
             if name not in options:
                 raise unknown("option", f"--{name}", (f"--{option}" for option in options))

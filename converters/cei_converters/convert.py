@@ -10,6 +10,7 @@ import numpy as np
 from cei_converters.cli import DatasetConfig, run
 from cei_converters.options import parse_episodes, parse_pose
 from cei_converters.quality import check_reached, print_table
+from cei_gym.alignment import InitialisationOptions, SolverOptions
 from cei_gym.errors import CEIError, unknown
 from cei_gym.transfer import TransferOptions
 
@@ -44,6 +45,8 @@ class ConvertConfig:
     push_to_hub: bool = False  # Upload the converted dataset.
     private: bool = False  # Make the uploaded dataset private.
     json: str | None = None  # File for the result as JSON.
+    init: InitialisationOptions = field(default_factory=InitialisationOptions)
+    solver: SolverOptions = field(default_factory=SolverOptions)
     transfer: TransferOptions = field(default_factory=TransferOptions)
 
 
@@ -76,7 +79,9 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         if not config.dry_run:
             writer = stack.enter_context(_writer(config, reader, fingerprint(reader.root)))
         pose = parse_pose("--target_pose", config.target_pose)
-        transfer = Transfer(reader.embodiment, load_embodiment(config.target), config.transfer, pose)
+        transfer = Transfer(
+            reader.embodiment, load_embodiment(config.target), config.transfer, config.solver, config.init, pose
+        )
         entries, residuals = _transfer_episodes(config, reader, selected, transfer, writer)
         if writer is not None:
             writer.provenance = _with_choices(writer.provenance, transfer)
@@ -148,6 +153,8 @@ def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: 
         "target_pose": config.target_pose,
         "episodes": config.episodes,
         "allow_unreachable": config.allow_unreachable,
+        "init": config.init,
+        "solver": config.solver,
         "transfer": config.transfer,
     }
     return DatasetWriter(
@@ -163,7 +170,7 @@ def _with_choices(provenance: "Provenance", transfer: "Transfer") -> "Provenance
     from cei_converters.metadata import plain
 
     pads = {e.name: plain(e.end_effector.pads) for e in (transfer.source, transfer.target) if e.end_effector}
-    options = provenance.options | {"basin": plain(transfer.basins[0])}
+    options = provenance.options | {"basins": plain(transfer.basins)}
     return replace(provenance, pads=pads, options=options)
 
 
@@ -198,10 +205,11 @@ def _transfer_episodes(
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
         spread = sorted({round(i) for i in np.linspace(0, len(selected) - 1, FIT_EPISODES)})
         transfer.fit([reader.read(selected[i], clouds=False) for i in spread])
-        for index in selected:
+        for i, index in enumerate(selected):
             progress.update(task, description=f"episode {index}")
-            demonstration, report = transfer(reader.read(index))
-            summary = report.summary()
+            mode = i % config.init.modes
+            demonstration, report = transfer(reader.read(index), mode)
+            summary = report.summary() | {"mode": mode}
             entry = {"episode": index, "frames": len(demonstration), **summary}
             entries.append(entry)
             frames = {"pad_distance_mm": report.pad_distance_mm, "normal_angle_deg": report.normal_angle_deg}

@@ -3,6 +3,8 @@
 import numpy as np
 from numba import njit
 
+from cei_gym.alignment.kernels.target import empty_pose, empty_source, load_source
+
 # Without NaN or infinity in sight, loops become wide instructions.
 _WIDE = {"contract", "arcp", "nsz", "reassoc", "nnan", "ninf", "afn"}
 _FAST = {"contract", "arcp", "nsz", "reassoc"}
@@ -11,14 +13,14 @@ _FAST = {"contract", "arcp", "nsz", "reassoc"}
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def evaluate(target, source, lambda_m, u, pose):
     """DCD at u, metres; fills `pose`."""
-    _place_joints(target, u, pose)
+    place_joints(target, u, pose)
     _place_pads(target, source.origin, pose)
     match(source.pairs32, pose, np.float32(lambda_m))
     return _distance(source.pairs, pose, lambda_m)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _place_joints(target, u, pose):
+def place_joints(target, u, pose):
     joints = target.joints
     local = np.empty((3, 3))
     for k in range(len(joints.parent)):
@@ -149,3 +151,25 @@ def _cost(source, i, target, j, lambda_m):
     dx, dy, dz = target[0, j] - source[0, i], target[1, j] - source[1, i], target[2, j] - source[2, i]
     cosine = source[3, i] * target[3, j] + source[4, i] * target[4, j] + source[5, i] * target[5, j]
     return np.sqrt(dx * dx + dy * dy + dz * dz) - lambda_m * cosine
+
+
+@njit(cache=True, nogil=True)
+def matched(target, points, normals, u, lambda_m):
+    """Mean distance (T,) m and mean angle between normals (T,) rad of the pairs that match at (T, m) configurations."""
+    distance, angle = np.zeros(len(u)), np.zeros(len(u))
+    source, pose = empty_source(points.shape[1]), empty_pose(target, points.shape[1])
+    for t in range(len(u)):
+        load_source(points[t], normals[t], source)
+        evaluate(target, source, lambda_m, u[t], pose)
+        matches = len(pose.match) + len(pose.match_back)
+        for k in range(matches):
+            forth = k < len(pose.match)
+            i = k if forth else pose.match_back[k - len(pose.match)]
+            j = pose.match[k] if forth else k - len(pose.match)
+            squared, cosine = 0.0, 0.0
+            for c in range(3):
+                squared += (source.pairs[c, i] - pose.pairs[c, j]) ** 2
+                cosine += source.pairs[3 + c, i] * pose.pairs[3 + c, j]
+            distance[t] += np.sqrt(squared) / matches
+            angle[t] += np.arccos(min(1.0, max(-1.0, cosine))) / matches
+    return distance, angle

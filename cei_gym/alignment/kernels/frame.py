@@ -102,9 +102,7 @@ def solve_frame(target, points, normals, settings, keep_out, obstacles, dt_s, la
             if dt_s > 0.0:
                 lower[k] = max(lower[k], last[k] - target.fastest[k] * dt_s)
                 upper[k] = min(upper[k], last[k] + target.fastest[k] * dt_s)
-    dcd, objective = _objective(
-        target, source, settings, keep_out, obstacles, weight, anchor, u, pose, quadratic
-    )
+    dcd, objective = _objective(target, source, settings, keep_out, obstacles, weight, anchor, u, pose, quadratic)
     if dt_s >= 0.0:
         # Motion goes on: start from its continuation where that is better.
         for k in range(len(u)):
@@ -129,7 +127,8 @@ def solve_frame(target, points, normals, settings, keep_out, obstacles, dt_s, la
             hessian[k, k] += weight
         accepted = False
         for _ in range(_DAMPING_TRIES):
-            if take_step(hessian, gradient, damping, lower, upper, u, new, memory.step) < settings.tolerance:
+            fall = take_step(hessian, gradient, damping, lower, upper, u, new, memory.step)
+            if 0.0 <= fall < settings.tolerance:
                 break
             dcd_new, objective_new = _objective(
                 target, source, settings, keep_out, obstacles, weight, anchor, new, trial, quadratic

@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.quadratic import add_contact
+from cei_gym.alignment.kernels.target import empty_pose
 
 
 class KeepOut(NamedTuple):
@@ -115,3 +117,20 @@ def _nearest(keep_out, link, obstacles, pose, k, point, normal):
             point[i] = obstacles[which, i]
             normal[i] = -(R[i, 0] * n[0] + R[i, 1] * n[1] + R[i, 2] * n[2])
     return least
+
+
+@njit(cache=True, nogil=True)
+def shortfall(target, keep_out, obstacles, obstacle_start, u):
+    """(T,) clearance that the worst link lacks at (T, m) configurations, m."""
+    pose = empty_pose(target, 1)
+    worst = np.zeros(len(u))
+    point, normal = np.empty(3), np.empty(3)
+    for t in range(len(u)):
+        place_joints(target, u[t], pose)
+        around = obstacles[obstacle_start[t] : obstacle_start[t + 1]]
+        for link in range(len(keep_out.joint)):
+            k, margin = keep_out.joint[link], keep_out.margin_m[link]
+            worst[t] = max(worst[t], keep_out.height_m + margin - _lowest(keep_out, link, pose, k, point))
+            if keep_out.idle[link]:
+                worst[t] = max(worst[t], margin - _nearest(keep_out, link, around, pose, k, point, normal))
+    return worst

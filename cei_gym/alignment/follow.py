@@ -1,0 +1,60 @@
+"""Follow motions, with clearance terms only where a trajectory comes too near: they stay off the hot path."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from cei_gym.alignment.clearance import Clearance
+from cei_gym.alignment.kernels.keep_out import shortfall
+from cei_gym.alignment.kernels.target import make_target
+from cei_gym.alignment.links import keep_out_links, pack_obstacles
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Solver, SolverOptions, Track
+from cei_gym.alignment.solvers import make_solver
+
+_TOLERATED_M = 1e-3
+
+
+class Follower:
+    """A solver that follows each motion freely first, and again with clearance terms if it came too near anything."""
+
+    def __init__(self, problem: AlignmentProblem, options: SolverOptions) -> None:
+        self.problem, self.options = problem, options
+        self.solver: Solver = make_solver(problem, options)
+
+    @cached_property
+    def clearance(self) -> Clearance:
+        """Judges configurations by MuJoCo's collisions, which the terms above only approximate."""
+        return Clearance(self.problem.embodiment)
+
+    @cached_property
+    def _links(self):
+        target = make_target(self.problem.representation, self.problem.tree, all_joints=True)
+        return target, keep_out_links(self.problem, self.options.clearance)
+
+    def follow(self, motion: Motion) -> Track:
+        """See `follow_all`."""
+        return self.follow_all([motion])[0]
+
+    def follow_all(self, motions: Sequence[Motion]) -> list[Track]:
+        """The tracks of motions; those without `surroundings` are only followed freely."""
+        tracks = self.solver.track_all([replace(m, surroundings=None) for m in motions])
+        near = [i for i, m in enumerate(motions) if self._too_near(m, tracks[i])]
+        again = self.solver.track_all([motions[i] for i in near])
+        for i, track in zip(near, again, strict=True):
+            tracks[i] = track
+        return tracks
+
+    def shortfall_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
+        """(T,) how much clearance the worst link lacks at each of (T, m) configurations, m; 0 where none does."""
+        assert motion.surroundings is not None
+        target, keep_out = self._links
+        keep_out = keep_out._replace(height_m=float(motion.surroundings.support_z_base_m))
+        obstacles, start = pack_obstacles(motion.surroundings, len(u))
+        return shortfall(target, keep_out, obstacles, start, np.ascontiguousarray(u, float))
+
+    def _too_near(self, motion: Motion, track: Track) -> bool:
+        if motion.surroundings is None or self.options.clearance.weight <= 0:
+            return False
+        return bool(self.shortfall_m(motion, track.u).max() > _TOLERATED_M)

@@ -1,0 +1,59 @@
+"""The alignment for live control: one source frame in, one target configuration out."""
+
+import numpy as np
+
+from cei_gym.alignment.newton import NewtonSolver
+from cei_gym.alignment.problem import AlignmentProblem, SolverOptions
+from cei_gym.alignment.starts import InitialisationOptions, find_basins
+
+
+class Stream:
+    """Follows frame after frame as they come. Compiled and warm once constructed.
+
+    Args:
+        problem: the target.
+        options: as for whole trajectories; `clearance` is left out.
+        init: how the first frame starts, if `u0` does not say it.
+        u0: (m,) where the first frame starts, rad or m.
+        dt_s: time between frames; with it, joints keep their velocity limits.
+    """
+
+    def __init__(
+        self,
+        problem: AlignmentProblem,
+        options: SolverOptions,
+        init: InitialisationOptions | None = None,
+        u0: np.ndarray | None = None,
+        dt_s: float | None = None,
+    ) -> None:
+        self._problem, self._options, self._init = problem, options, init or InitialisationOptions()
+        self._u0, self._dt_s = u0, dt_s
+        self._solver = NewtonSolver(problem, options)
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        home = problem.embodiment.coupled.reduce(problem.embodiment.home)
+        self._solver.advance(*(x[None][0] for x in problem.place(home)), home, home, dt_s)  # compiles
+
+    def __call__(self, points_base: np.ndarray, normals_base: np.ndarray) -> np.ndarray:
+        """One frame.
+
+        Args:
+            points_base, normals_base: (N, 3) source representation in the target's base frame, m and unit.
+
+        Returns:
+            (m,) independent joints, rad or m.
+        """
+        if self._last is None:
+            start = self._u0
+            if start is None:
+                start = find_basins(self._problem, self._options, points_base, normals_base, self._init)[0]
+            u = self._solver.track(points_base[None], normals_base[None], start).u[0]
+            self._last = u, u
+        else:
+            last, before = self._last
+            u = self._solver.advance(points_base, normals_base, last, before, self._dt_s)
+            self._last = u, last
+        return u.copy()
+
+    def reset(self) -> None:
+        """Forget the past: the next frame is a first one."""
+        self._last = None
