@@ -31,7 +31,8 @@ class Stream:
         self._solver = NewtonSolver(problem, options)
         self._last: tuple[np.ndarray, np.ndarray] | None = None
         home = problem.embodiment.coupled.reduce(problem.embodiment.home)
-        self._solver.advance(*(x[None][0] for x in problem.place(home)), home, home, dt_s)  # compiles
+        points, normals = problem.place(home)
+        self._solver.advance(points, normals, home, home, dt_s)  # compiles
 
     def __call__(self, points_base: np.ndarray, normals_base: np.ndarray) -> np.ndarray:
         """One frame.

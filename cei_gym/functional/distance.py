@@ -32,9 +32,7 @@ def pair_cost(points, normals, points_other, normals_other, lambda_m: float):
     difference = points[..., :, None, :] - points_other[..., None, :, :]
     # torch's own norm has a zero (not infinite) gradient where two points coincide
     norm = np.linalg.norm if isinstance(difference, np.ndarray) else _torch_norm
-    distance = norm(difference, axis=-1)
-    cosine = (normals[..., :, None, :] * normals_other[..., None, :, :]).sum(-1)
-    return distance - lambda_m * cosine
+    return norm(difference, axis=-1) - lambda_m * normals @ normals_other.mT
 
 
 def _torch_norm(x, axis: int):

@@ -96,7 +96,7 @@ def match(pairs, pose, lambda_m):
     for i in range(pairs.shape[1]):
         a, b, c = pairs[0, i], pairs[1, i], pairs[2, i]
         na, nb, nc = lambda_m * pairs[3, i], lambda_m * pairs[4, i], lambda_m * pairs[5, i]
-        _row(a, b, c, na, nb, nc, offset, x, y, z, nx, ny, nz, row)
+        row_costs(a, b, c, na, nb, nc, offset, x, y, z, nx, ny, nz, row)
         pose.match[i] = _first(bits, _least(bits))
         _keep_better(row, np.int32(i), pose.best_back, pose.match_back)
 
@@ -105,7 +105,7 @@ def match(pairs, pose, lambda_m):
 
 
 @njit(cache=True, nogil=True, fastmath=_WIDE)
-def _row(a, b, c, na, nb, nc, offset, x, y, z, nx, ny, nz, row):
+def row_costs(a, b, c, na, nb, nc, offset, x, y, z, nx, ny, nz, row):
     for j in range(len(row)):
         dx, dy, dz = x[j] - a, y[j] - b, z[j] - c
         row[j] = np.sqrt(dx * dx + dy * dy + dz * dz) - (na * nx[j] + nb * ny[j] + nc * nz[j]) + offset

@@ -10,9 +10,9 @@ from numba import njit
 
 from cei_gym.alignment.kernels.distance import evaluate
 from cei_gym.alignment.kernels.keep_out import penalise
-from cei_gym.alignment.kernels.quadratic import add_distance, empty_quadratic, project
-from cei_gym.alignment.kernels.step import empty_step, take_step
-from cei_gym.alignment.kernels.target import empty_pose, empty_source, load_source
+from cei_gym.alignment.kernels.quadratic import Quadratic, add_distance, empty_quadratic, project
+from cei_gym.alignment.kernels.step import StepMemory, empty_step, take_step
+from cei_gym.alignment.kernels.target import Pose, Source, empty_pose, empty_source, load_source
 
 _DAMPING = 1e-3
 _DAMPING_TRIES = 8
@@ -31,11 +31,11 @@ class Settings(NamedTuple):
 class Memory(NamedTuple):
     """Scratch of one trajectory, so that frames allocate nothing."""
 
-    source: tuple
-    pose: tuple
-    trial: tuple
-    quadratic: tuple
-    step: tuple
+    source: Source
+    pose: Pose
+    trial: Pose
+    quadratic: Quadratic
+    step: StepMemory
     anchor: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
