@@ -109,7 +109,7 @@ class Transfer:
         )
         self._source_shapes = link_shapes(source)
         self._follower = Follower(self.problem, self.solver_options)
-        self._manual = ManualAlignment(source, target) if o.method == "bms" else None
+        self._manual: ManualAlignment | None = None
         self._synthesise = CloudSynthesiser(source, target, o.tau_m, o.robot_points, o.cloud_points, o.seed)
         self.basins: list[Basin] = []
         """One basin a mode, once fitted."""
@@ -121,7 +121,8 @@ class Transfer:
         Raises:
             CEIError: there are fewer distinct motions than `init.modes`.
         """
-        if self._manual is not None:
+        if self.options.method == "bms":
+            self._manual = self._specify(demonstrations[0])
             return
         motions = [self._motion(d, squeezed=True) for d in demonstrations]
         starts = find_basins(
@@ -149,12 +150,12 @@ class Transfer:
             raise CEIError(
                 f"episode {demonstration.index} is of {demonstration.embodiment}, not of {self.source.name}."
             )
-        if not self.basins:
+        if not self.basins and self._manual is None:
             self.fit([demonstration])
         scenes = self._scenes(demonstration)
         motion = self._motion(demonstration, scenes=scenes)
         if self._manual is not None:
-            track = closing = self._specified(demonstration, motion)
+            track = closing = self._specified(self._manual, demonstration, motion)
             report = self._report(motion, track)
         else:
             motion, track, report = self._follow(motion, mode)
@@ -218,15 +219,20 @@ class Transfer:
             self.problem, motion.points_base, motion.normals_base, track, o.lambda_m, self.options.unreachable_mm
         )
 
-    def _specified(self, demonstration: Demonstration, motion: Motion) -> Track:
-        assert self._manual is not None
+    def _specify(self, demonstration: Demonstration) -> ManualAlignment:
+        """BMS with the thumb on the side from which the arm follows more closely: a person would try both."""
+        motion = self._motion(demonstration)
+        both = [ManualAlignment(self.source, self.target, half_turn) for half_turn in (False, True)]
+        return min(both, key=lambda manual: self._specified(manual, demonstration, motion).objective.mean())
+
+    def _specified(self, manual: ManualAlignment, demonstration: Demonstration, motion: Motion) -> Track:
         T_target_source = np.linalg.inv(self._base(demonstration)) @ demonstration.scene.T_world_base
-        u = self._manual.track(demonstration.qpos, T_target_source)
-        placed = self.problem.place(u)
-        objective = directional_chamfer_distance(
-            motion.points_base, motion.normals_base, *placed, self.solver_options.lambda_m
-        )
-        return Track(u, objective, np.zeros(len(u), int))
+        u = manual.track(demonstration.qpos, T_target_source)
+        objective = [
+            directional_chamfer_distance(p, n, *self.problem.place(q), self.solver_options.lambda_m)
+            for p, n, q in zip(motion.points_base, motion.normals_base, u, strict=True)
+        ]
+        return Track(u, np.array(objective), np.zeros(len(u), int))
 
     def _base(self, demonstration: Demonstration) -> np.ndarray:
         return demonstration.scene.T_world_base if self._T_world_target is None else self._T_world_target

@@ -77,9 +77,9 @@ def find_basins(
     else:
         starts = random_starts(problem, options.starts, options.seed)
     found, objective = newton.solve_starts(points_base, normals_base, starts, options.iterations)
-    found = unwrap(problem, found)
-    few = _distinct(found, objective, 2 * options.basins)
+    few = _distinct(unwrap(problem, found), objective, 2 * options.basins)
     found, objective = newton.solve_starts(points_base, normals_base, found[few], _REFINE_ITERATIONS)
+    found = unwrap(problem, found)
     return found[_distinct(found, objective, options.basins)]
 
 

@@ -1,0 +1,202 @@
+"""Where frame 0 starts: multi-start, elite means, given joints, whole turns, and several modes."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cei_gym.alignment import (
+    AlignmentProblem,
+    Basin,
+    Follower,
+    InitialisationOptions,
+    Motion,
+    SolverOptions,
+    choose_modes,
+    find_basins,
+    judge_basins,
+    make_solver,
+)
+from cei_gym.alignment.newton import NewtonSolver
+from cei_gym.alignment.starts import elite_starts, random_starts, unwrap
+from cei_gym.embodiment import load_embodiment
+from cei_gym.errors import CEIError
+from cei_gym.functional import directional_chamfer_distance, sample_representation
+from cei_gym.kinematics import KinematicTree
+
+OPTIONS = SolverOptions()
+
+
+@cache
+def problem_of(name: str, points: int = 32) -> AlignmentProblem:
+    embodiment = load_embodiment(name)
+    return AlignmentProblem(sample_representation(embodiment, points), KinematicTree(embodiment))
+
+
+def home(problem: AlignmentProblem) -> np.ndarray:
+    return problem.embodiment.coupled.reduce(problem.embodiment.home)
+
+
+def panda_frame(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The Panda's pads somewhere about its home pose."""
+    problem = problem_of("Panda-PandaGripper")
+    u = home(problem) + np.random.default_rng(seed).uniform(-0.3, 0.3, 8)
+    lower, upper = problem.embodiment.independent_limits
+    return problem.place(np.clip(u, lower, upper))
+
+
+def drawer_pull(frames: int = 30) -> tuple[np.ndarray, np.ndarray]:
+    """OpenDrawer-like: the Panda, its pads one above the other about a handle, draws back by some 15 cm."""
+    problem = problem_of("Panda-PandaGripper")
+    start = np.array([0.0, 0.55, 0.0, -2.0, 0.0, 4.1, 0.785, 0.015])
+    end = np.array([0.0, 0.05, 0.0, -2.5, 0.0, 4.1, 0.785, 0.015])
+    s = np.linspace(0, 1, frames)[:, None]
+    lower, upper = problem.embodiment.independent_limits
+    return problem.place(np.clip(start + s * (end - start), lower, upper))
+
+
+# -- multi-start ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["UR5e-FourierRight", "IIWA-Inspire", "Kinova3-FourierLeft", "Panda-RobotiqThreeFinger"]
+)
+def test_a_few_starts_find_what_many_find(name: str) -> None:
+    problem = problem_of(name)
+    for seed in range(2):
+        frame = panda_frame(seed)
+        many = NewtonSolver(problem, OPTIONS).solve_starts(*frame, random_starts(problem, 2000, 99), 30)[1].min()
+        found = find_basins(problem, OPTIONS, *frame, InitialisationOptions())[0]
+        assert directional_chamfer_distance(*frame, *problem.place(found), OPTIONS.lambda_m) < many + 1e-3
+
+
+@settings(max_examples=15, deadline=None)
+@given(turns=st.lists(st.integers(-1, 1), min_size=6, max_size=6), seed=st.integers(0, 1000))
+def test_whole_turns_are_taken_out_and_pads_stay(turns: list[int], seed: int) -> None:
+    problem = problem_of("UR5e-Inspire")  # +-2 pi limits but for the elbow
+    u = random_starts(problem, 1, seed)
+    lower, upper = problem.embodiment.independent_limits
+    wound = u.copy()
+    wound[:, :6] += 2 * np.pi * np.array(turns)
+    fits = (wound >= lower) & (wound <= upper)
+    wound = np.where(fits, wound, u)
+    back = unwrap(problem, wound)
+    np.testing.assert_allclose(back, u, atol=1e-12)
+    np.testing.assert_allclose(problem.place(back)[0], problem.place(wound)[0], atol=1e-9)
+
+
+def test_no_basin_is_wound_up() -> None:
+    problem = problem_of("UR5e-Inspire")
+    found = find_basins(problem, OPTIONS, *panda_frame(3), InitialisationOptions())
+    assert len(found) > 4
+    free = np.array([0, 1, 3, 4, 5])  # the elbow's limits leave no room for a turn
+    assert np.abs(found - home(problem))[:, free].max() < np.pi + 1e-9
+
+
+# -- the paper's elite means ---------------------------------------------------------------------------------
+
+
+def test_an_elite_mean_is_the_mean_of_the_best_tenth() -> None:
+    problem, frame = problem_of("UR5e-RobotiqThreeFinger"), panda_frame(0)
+    options = InitialisationOptions(method="eis", starts=60, draws=2, seed=5)
+    means = elite_starts(problem, NewtonSolver(problem, OPTIONS), *frame, options)
+    for draw in range(2):
+        u = random_starts(problem, 60, [5, draw])
+        scores = [directional_chamfer_distance(*frame, *problem.place(x), OPTIONS.lambda_m) for x in u]
+        np.testing.assert_allclose(means[draw], u[np.argsort(scores)[:6]].mean(axis=0), atol=1e-12)
+
+
+def test_elite_means_are_seeded_and_lead_to_several_basins() -> None:
+    problem, frame = problem_of("UR5e-FourierRight"), panda_frame(0)
+    options = InitialisationOptions(method="eis", starts=128, draws=24)
+    found = find_basins(problem, OPTIONS, *frame, options)
+    np.testing.assert_array_equal(found, find_basins(problem, OPTIONS, *frame, options))
+    assert len(found) >= 2
+    other = find_basins(problem, OPTIONS, *frame, replace(options, seed=1))
+    assert other.shape != found.shape or not np.allclose(other, found)
+
+
+# -- given ---------------------------------------------------------------------------------------------------
+
+
+def test_given_joints_are_where_the_solution_starts() -> None:
+    problem = problem_of("IIWA-Inspire")
+    solver, frame = make_solver(problem, OPTIONS), panda_frame(1)
+    goal = find_basins(problem, OPTIONS, *frame, InitialisationOptions())[3]
+    qpos = problem.embodiment.coupled.expand(goal + 0.02 * (home(problem) - goal))
+    found = find_basins(problem, OPTIONS, *frame, InitialisationOptions(method="given", qpos=qpos.tolist()))
+    assert len(found) == 1
+    assert np.abs(found[0] - goal).max() < 0.3
+    assert solver.track(*(x[None] for x in frame), found[0]).objective[0] < 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"method": "elite"}, "unknown init.method 'elite'. Valid: multistart, eis, given."),
+        ({"modes": 0}, "init.modes=0 must be at least 1."),
+        ({"method": "given"}, "init.method=given and init.qpos go together: give both or neither."),
+        ({"qpos": [0.0]}, "init.method=given and init.qpos go together: give both or neither."),
+        (
+            {"method": "given", "qpos": [0.0], "modes": 2},
+            "init.method=given starts one motion; init.modes=2 asks for more.",
+        ),
+    ],
+)
+def test_bad_options_are_refused(changes: dict, message: str) -> None:
+    with pytest.raises(CEIError) as error:
+        InitialisationOptions(**changes)
+    assert str(error.value) == message
+
+
+def test_given_joints_must_fit_the_target() -> None:
+    problem, frame = problem_of("UR5e-RobotiqThreeFinger"), panda_frame(0)
+    with pytest.raises(
+        CEIError, match="init.qpos has 2 values; UR5e-RobotiqThreeFinger has 17 joints: shoulder_pan_joint"
+    ):
+        find_basins(problem, OPTIONS, *frame, InitialisationOptions(method="given", qpos=[0.0, 0.0]))
+    qpos = problem.embodiment.home.copy()
+    qpos[2] = 9.0
+    with pytest.raises(CEIError, match=r"init.qpos puts elbow_joint at 9, outside \[-3.142, 3.142\] rad"):
+        find_basins(problem, OPTIONS, *frame, InitialisationOptions(method="given", qpos=qpos.tolist()))
+
+
+# -- modes (section VII-B) -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["multistart", "eis"])
+@pytest.mark.parametrize("name", ["UR5e-FourierRight", "IIWA-Inspire"])
+def test_a_drawer_opens_in_two_ways(name: str, method: str) -> None:
+    """Two modes asked for: both follow, both are free of contact, and they differ all the way."""
+    problem, (points, normals) = problem_of(name), drawer_pull()
+    follower = Follower(problem, OPTIONS)
+    motion = Motion(points, normals, home(problem), dt_s=0.05)
+    starts = find_basins(problem, OPTIONS, points[0], normals[0], InitialisationOptions(method=method))
+    modes = choose_modes(judge_basins(follower, [motion], starts), 2)
+    tracks = [follower.follow(replace(motion, u0=mode.u)) for mode in modes]
+    one, two = (track.u for track in tracks)
+    assert np.abs(one - two).max(axis=1).min() > 0.4
+    lower, upper = problem.embodiment.independent_limits
+    for mode, track in zip(modes, tracks, strict=True):
+        assert ((track.u >= lower) & (track.u <= upper)).all()
+        pads, _ = problem.place(track.u)
+        assert np.linalg.norm(pads.mean(1) - points.mean(1), axis=-1).max() < 0.02
+        travelled = np.linalg.norm(pads[-1].mean(0) - pads[0].mean(0))
+        assert travelled == pytest.approx(np.linalg.norm(points[-1].mean(0) - points[0].mean(0)), abs=0.01)
+        assert mode.penetration_m < 0.005
+        assert np.abs(np.diff(track.u, axis=0)).max() < 0.16
+
+
+def basin(u: float, u_last: float, cost: float) -> Basin:
+    return Basin(np.array([u]), cost, cost, 0.0, 0.0, 0.0, 0.0, 0.0, np.array([u_last]))
+
+
+def test_modes_differ_at_both_ends_and_cost_about_the_same() -> None:
+    best = basin(0.0, 0.0, 0.0)
+    merges, worse, other = basin(2.0, 0.1, 0.001), basin(3.0, 3.0, 0.5), basin(1.0, 1.0, 0.002)
+    assert choose_modes([best, merges, other, worse], 2) == [best, other]
+    with pytest.raises(CEIError, match="init.modes=3, but only 2 distinct good motions were found"):
+        choose_modes([best, merges, other, worse], 3)
