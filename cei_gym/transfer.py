@@ -27,7 +27,7 @@ from cei_gym.alignment import (
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError, unknown
-from cei_gym.functional import FunctionalRepresentation, directional_chamfer_distance, sample_representation
+from cei_gym.functional import VARIANTS, FunctionalRepresentation, directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import fuse_depth
 from cei_gym.pointcloud.synthesise import CloudSynthesiser
@@ -71,6 +71,8 @@ class TransferOptions:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise unknown("transfer.method", self.method, METHODS)
+        if self.representation not in VARIANTS:
+            raise unknown("transfer.representation", self.representation, VARIANTS)
 
 
 class Transfer:

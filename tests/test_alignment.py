@@ -250,10 +250,22 @@ def test_the_solver_keeps_nothing_between_calls(problems: dict) -> None:
     np.testing.assert_array_equal(first.objective, again.objective)
 
 
-def test_an_unknown_backend_lists_the_valid_ones(problems: dict) -> None:
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"backend": "numbe"},
+            "unknown solver.backend 'numbe'. Did you mean 'numba'? Valid: auto, numba, torch, paper.",
+        ),
+        ({"lambda_m": -0.1}, "solver.lambda_m=-0.1 must be at least 0."),
+        ({"velocity_scale": float("nan")}, "solver.velocity_scale=nan must be at least 0."),
+        ({"iterations": -1}, "solver.iterations=-1 must be at least 0."),
+    ],
+)
+def test_bad_options_are_refused(changes: dict, message: str) -> None:
     with pytest.raises(CEIError) as error:
-        make_solver(problems["Panda-PandaGripper"], SolverOptions(backend="numpy"))
-    assert "Valid: auto, numba, torch, paper." in str(error.value)
+        SolverOptions(**changes)
+    assert str(error.value) == message
 
 
 # -- first frame ---------------------------------------------------------------------------------------------

@@ -98,6 +98,24 @@ def rename_joint(root: Path, position: int, name: str) -> None:
     edit_json(root / "meta/info.json", edit)
 
 
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"init": "elite"}, "unknown init.method 'elite'. Valid: multistart, eis, given."),
+        ({"init__modes": "0"}, "init.modes=0 must be at least 1."),
+        ({"init": "given"}, "init.method=given and init.qpos go together: give both or neither."),
+        ({"solver__backend": "cuda"}, "unknown solver.backend 'cuda'. Valid: auto, numba, torch, paper."),
+        ({"transfer__method": "manual"}, "unknown transfer.method 'manual'. Valid: cei, bms."),
+        (
+            {"transfer__representation": "half"},
+            "unknown transfer.representation 'half'. Valid: standard, reduced, dropped.",
+        ),
+    ],
+)
+def test_options_are_checked_before_any_work(option: dict, message: str, refuse: Callable) -> None:
+    assert refuse(**option) == f"error: {message}\n"
+
+
 def test_a_good_dataset_converts(main: Callable, root: Path, tmp_path: Path, capsys: Any) -> None:
     from cei_converters.reader import DatasetReader
 
@@ -166,7 +184,7 @@ def test_episodes(refuse: Callable) -> None:
 
 
 def test_unreachable_episode(refuse: Callable) -> None:
-    few = {"transfer__solver__iterations": "1"}
+    few = {"solver__iterations": "1"}
     assert "IIWA-Inspire cannot reach episode 1: frame 2;" in refuse(**few)
     assert "cannot reach episode 1: frame 2;" in refuse(dry_run="true", **few)
 

@@ -155,7 +155,7 @@ def test_bad_options_are_refused(changes: dict, message: str) -> None:
 def test_given_joints_must_fit_the_target() -> None:
     problem, frame = problem_of("UR5e-RobotiqThreeFinger"), panda_frame(0)
     with pytest.raises(
-        CEIError, match="init.qpos has 2 values; UR5e-RobotiqThreeFinger has 17 joints: shoulder_pan_joint"
+        CEIError, match=r"init\.qpos has 2 values; UR5e-RobotiqThreeFinger has 17 joints: shoulder_pan_joint"
     ):
         find_basins(problem, OPTIONS, *frame, InitialisationOptions(method="given", qpos=[0.0, 0.0]))
     qpos = problem.embodiment.home.copy()
@@ -198,5 +198,5 @@ def test_modes_differ_at_both_ends_and_cost_about_the_same() -> None:
     best = basin(0.0, 0.0, 0.0)
     merges, worse, other = basin(2.0, 0.1, 0.001), basin(3.0, 3.0, 0.5), basin(1.0, 1.0, 0.002)
     assert choose_modes([best, merges, other, worse], 2) == [best, other]
-    with pytest.raises(CEIError, match="init.modes=3, but only 2 distinct good motions were found"):
+    with pytest.raises(CEIError, match=r"init\.modes=3, but only 2 distinct good motions were found"):
         choose_modes([best, merges, other, worse], 3)

@@ -55,11 +55,11 @@ def reach(frames: int = 40, lower_m: float = 0.0) -> tuple[np.ndarray, np.ndarra
 
 @cache
 def start(name: str) -> np.ndarray:
-    """The best first frame that does not touch itself."""
+    """The best first frame that touches neither itself nor what is a little below the pads."""
     problem, (points, normals) = problem_of(name), reach()
     clearance, qpos = Clearance(problem.embodiment), problem.embodiment.coupled.expand
     found = find_basins(problem, OPTIONS, points[0], normals[0], InitialisationOptions(starts=64))
-    return next(u for u in found if clearance.worst(qpos(u)[None], -10.0)[0] < 1e-3)
+    return next(u for u in found if clearance.worst(qpos(u)[None], points[..., 2].min() - 0.03)[0] < 1e-3)
 
 
 # -- reduced tree --------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.manual import ManualAlignment
 from cei_gym.alignment.problem import (
+    BACKENDS,
     AlignmentProblem,
     ClearanceOptions,
     Motion,
@@ -16,7 +17,7 @@ from cei_gym.alignment.problem import (
     Track,
 )
 from cei_gym.alignment.report import AlignmentReport, make_report
-from cei_gym.alignment.solvers import BACKENDS, make_solver
+from cei_gym.alignment.solvers import make_solver
 from cei_gym.alignment.starts import InitialisationOptions, find_basins
 from cei_gym.alignment.stream import Stream
 

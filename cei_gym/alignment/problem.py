@@ -7,9 +7,12 @@ from typing import Protocol
 import numpy as np
 
 from cei_gym.embodiment.embodiment import Embodiment
+from cei_gym.errors import CEIError, unknown
 from cei_gym.functional.distance import DEFAULT_DIRECTION_WEIGHT_M
 from cei_gym.functional.representation import FunctionalRepresentation
 from cei_gym.kinematics.tree import KinematicTree
+
+BACKENDS = ("auto", "numba", "torch", "paper")
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,15 @@ class SolverOptions:
     tolerance: float = 2e-6
     clearance: ClearanceOptions = field(default_factory=ClearanceOptions)
     paper: PaperOptions = field(default_factory=PaperOptions)
+
+    def __post_init__(self) -> None:
+        if self.backend not in BACKENDS:
+            raise unknown("solver.backend", self.backend, BACKENDS)
+        for name in ("lambda_m", "temporal_weight", "smoothness_weight", "velocity_scale", "tolerance"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise CEIError(f"solver.{name}={getattr(self, name)} must be at least 0.")
+        if self.iterations < 0:
+            raise CEIError(f"solver.iterations={self.iterations} must be at least 0.")
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,10 @@
 
 from cei_gym.alignment.newton import NewtonSolver
 from cei_gym.alignment.problem import AlignmentProblem, Solver, SolverOptions
-from cei_gym.errors import unknown
-
-BACKENDS = ("auto", "numba", "torch", "paper")
 
 
 def make_solver(problem: AlignmentProblem, options: SolverOptions) -> Solver:
-    """The solver that `options.backend` names.
-
-    Raises:
-        CEIError: no such backend (the message lists the valid ones).
-    """
-    if options.backend in ("auto", "numba"):
-        return NewtonSolver(problem, options)
+    """The solver that `options.backend` names."""
     if options.backend == "torch":
         from cei_gym.alignment.newton_torch import TorchNewtonSolver  # torch takes seconds to import
 
@@ -23,4 +14,4 @@ def make_solver(problem: AlignmentProblem, options: SolverOptions) -> Solver:
         from cei_gym.alignment.paper import PaperSolver
 
         return PaperSolver(problem, options)
-    raise unknown("solver backend", options.backend, BACKENDS)
+    return NewtonSolver(problem, options)

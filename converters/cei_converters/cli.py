@@ -86,6 +86,8 @@ def parse[Config](config_cls: type[Config], args: Sequence[str], prog: str, exam
         where = ".".join(str(key) for key in error.key_path)
         raise CEIError(_decoding_message(where, error.message, prog)) from error
     except (argparse.ArgumentError, DraccusException, OSError, draccus.ParsingError) as error:
+        if isinstance(error.__cause__, CEIError):  # what an option's own check says
+            raise error.__cause__ from None
         raise CEIError(f"{' '.join(str(error).split())} See {prog} --help.") from error
 
 

@@ -207,9 +207,9 @@ def _transfer_episodes(
         transfer.fit([reader.read(selected[i], clouds=False) for i in spread])
         for i, index in enumerate(selected):
             progress.update(task, description=f"episode {index}")
-            mode = i % config.init.modes
+            mode = i % config.init.modes  # motions take turns, so that a dataset is an even mixture
             demonstration, report = transfer(reader.read(index), mode)
-            summary = report.summary() | {"mode": mode}
+            summary = report.summary() | ({"mode": mode} if config.init.modes > 1 else {})
             entry = {"episode": index, "frames": len(demonstration), **summary}
             entries.append(entry)
             frames = {"pad_distance_mm": report.pad_distance_mm, "normal_angle_deg": report.normal_angle_deg}
