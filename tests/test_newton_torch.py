@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from cei_gym.alignment import (
     AlignmentProblem,
     ClearanceOptions,
+    Follower,
     InitialisationOptions,
     Motion,
     SolverOptions,
@@ -20,7 +21,7 @@ from cei_gym.alignment import (
     find_basins,
     make_solver,
 )
-from cei_gym.alignment.links import idle_bodies
+from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.newton import NewtonSolver
 from cei_gym.alignment.newton_torch import TorchNewtonSolver
 from cei_gym.embodiment import load_embodiment
@@ -95,7 +96,8 @@ def test_derivatives_are_those_of_the_compiled_solver(name: str, lambda_m: float
     problem, options = problem_of(name), replace(OPTIONS, lambda_m=lambda_m)
     rng = np.random.default_rng(seed)
     u = rng.uniform(*problem.embodiment.independent_limits)
-    points, normals = (x[seed % 12][: rng.integers(1, 33)] for x in panda_grasp())
+    n = rng.integers(1, 33)
+    points, normals = (x[seed % 12][:n] for x in panda_grasp())
     found = TorchNewtonSolver(problem, options).derivatives(points, normals, u)
     for one, other in zip(found, NewtonSolver(problem, options).derivatives(points, normals, u), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
@@ -158,6 +160,17 @@ def test_starts_are_solved_as_by_the_compiled_solver() -> None:
     assert abs(objective.mean() - expected.mean()) < 1e-3
 
 
+@pytest.mark.parametrize("options", [{}, {"smoothness_weight": 0.1}])
+def test_frame_by_frame_it_is_the_track(options: dict) -> None:
+    name, (points, normals) = "IIWA-Inspire", panda_grasp(5)
+    solver = TorchNewtonSolver(problem_of(name), replace(OPTIONS, **options))
+    track = solver.track(points, normals, start(name), dt_s=DT_S)
+    before = last = track.u[0]
+    for t in range(1, 5):
+        before, last = last, solver.advance(points[t], normals[t], last, before, DT_S)
+        np.testing.assert_allclose(last, track.u[t], atol=1e-9)
+
+
 # -- limits --------------------------------------------------------------------------------------------------
 
 
@@ -218,17 +231,26 @@ def test_idle_fingers_get_out_of_the_way_as_with_the_compiled_solver() -> None:
     points, normals = panda_grasp(5)
     solver = TorchNewtonSolver(problem, OPTIONS)
     free = solver.track(points, normals, start(name))
-    links = problem.tree.forward(problem.embodiment.coupled.expand(free.u))[:, idle_bodies(problem), :3, 3]
+    shapes, body = link_shapes(problem.embodiment), problem.embodiment.body_id("r_pinky_distal")
+    centre = shapes.vertices_link[int(np.flatnonzero(shapes.body == body)[0])].mean(axis=0)
+    T = problem.tree.forward(problem.embodiment.coupled.expand(free.u[-1]))[body]
     rng = np.random.default_rng(0)
-    # As many points as there happen to be; in one frame none.
-    blobs = [links[-1][:1] + rng.normal(0, 0.003, (n, 3)) for n in (20, 7, 0, 20, 30)]
+    # Balls in the fingertip where the trajectory ends, of as many points as there happen to be; in one frame none.
+    sizes = 20, 7, 0, 20, 30
+    blobs = [(centre + rng.normal(0, 0.002, (n, 3))) @ T[:3, :3].T + T[:3, 3] for n in sizes]
     motion = Motion(points, normals, start(name), surroundings=Surroundings(-1.0, blobs))
     compiled, held = both(name, OPTIONS, motion)
     assert_alike(compiled, held)
     np.testing.assert_allclose(held.u, compiled.u, atol=1e-3)
-    idle = ~np.isclose(np.abs(held.u - free.u).max(axis=0), 0, atol=1e-3)
-    names = [problem.embodiment.joint_names[i] for i in problem.embodiment.coupled.independent[idle]]
-    assert {"joint_r_ring_proximal", "joint_r_pinky_proximal"} & set(names)
+    names = [problem.embodiment.joint_names[i] for i in problem.embodiment.coupled.independent]
+    pinky = names.index("joint_r_pinky_proximal")
+    assert np.ptp(free.u[:, pinky]) == 0
+    assert abs(held.u[-1, pinky] - free.u[-1, pinky]) > 0.05
+    follower = Follower(problem, OPTIONS)
+    for u in (free.u, held.u):
+        np.testing.assert_allclose(solver.shortfall_m(motion, u), follower.shortfall_m(motion, u), atol=1e-9)
+    assert solver.shortfall_m(motion, free.u)[-1] > 0.005
+    assert solver.shortfall_m(motion, held.u)[-1] < 0.002
 
 
 # -- device --------------------------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ class SolverOptions:
 
     Attributes:
         backend: "numba" (second order, compiled), "torch" (the same method, many trajectories at once, any device), "paper"
-            (pytorch-kinematics, autograd, Adam), or "auto" (numba where it is installed, else torch).
+            (pytorch-kinematics, autograd, Adam), or "auto" (numba).
         device: where torch computes: "auto" (a GPU where there is one), "cpu", "cuda", "mps".
         lambda_m: weight of direction in the Directional Chamfer Distance, metres (points are in metres); 0 is the paper's
             ablation "without direction".
@@ -168,4 +168,29 @@ class Solver(Protocol):
 
     def track_all(self, motions: Sequence[Motion]) -> list[Track]:
         """Follow many trajectories, in parallel."""
+        ...
+
+
+class SecondOrderSolver(Solver, Protocol):
+    """A solver that also searches one frame from many starts, and takes frames as they come."""
+
+    def solve_starts(
+        self, points_base: np.ndarray, normals_base: np.ndarray, starts: np.ndarray, iterations: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Solve one frame, (N, 3) each, from (S, m) starts.
+
+        Returns:
+            (S, m) independent joints and (S,) DCD, metres.
+        """
+        ...
+
+    def advance(
+        self,
+        points_base: np.ndarray,
+        normals_base: np.ndarray,
+        last: np.ndarray,
+        before: np.ndarray,
+        dt_s: float | None = None,
+    ) -> np.ndarray:
+        """One more frame, (N, 3) each, after the last two solutions (m,); the new one."""
         ...

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cei_gym.alignment.newton import NewtonSolver
-from cei_gym.alignment.problem import AlignmentProblem, SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, SecondOrderSolver, SolverOptions
+from cei_gym.alignment.solvers import make_second_order_solver
 from cei_gym.errors import CEIError, unknown
 
 METHODS = ("multistart", "eis", "given")
@@ -69,7 +69,7 @@ def find_basins(
     Raises:
         CEIError: `options.qpos` does not fit the target.
     """
-    newton = NewtonSolver(problem, solver)
+    newton = make_second_order_solver(problem, solver)
     if options.method == "given":
         starts = _given(problem, options)[None]
     elif options.method == "eis":
@@ -106,7 +106,7 @@ def random_starts(problem: AlignmentProblem, n: int, seed: int | list[int]) -> n
 
 def elite_starts(
     problem: AlignmentProblem,
-    newton: NewtonSolver,
+    newton: SecondOrderSolver,
     points_base: np.ndarray,
     normals_base: np.ndarray,
     options: InitialisationOptions,

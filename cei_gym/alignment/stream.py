@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cei_gym.alignment.newton import NewtonSolver
 from cei_gym.alignment.problem import AlignmentProblem, SolverOptions
+from cei_gym.alignment.solvers import make_second_order_solver
 from cei_gym.alignment.starts import InitialisationOptions, find_basins
 
 
@@ -28,7 +28,7 @@ class Stream:
     ) -> None:
         self._problem, self._options, self._init = problem, options, init or InitialisationOptions()
         self._u0, self._dt_s = u0, dt_s
-        self._solver = NewtonSolver(problem, options)
+        self._solver = make_second_order_solver(problem, options)
         self._last: tuple[np.ndarray, np.ndarray] | None = None
         home = problem.embodiment.coupled.reduce(problem.embodiment.home)
         points, normals = problem.place(home)

@@ -1,0 +1,348 @@
+"""The objective of many configurations at once in torch: the DCD, its majoriser's derivatives, clearance.
+
+The arithmetic of `kernels.distance`, `kernels.quadratic` and `kernels.keep_out` as few wide operations: B problems at once,
+each a configuration against one frame of a source.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from cei_gym.alignment.kernels.keep_out import KeepOut
+from cei_gym.alignment.kernels.target import Target
+from cei_gym.alignment.problem import Motion
+
+_SMOOTHING_M = 1e-3  # see `kernels.quadratic`
+_FAR_M = 1e6  # where obstacle points are that only fill an array
+_PAIRS_AT_ONCE = {"cpu": 1 << 17}  # what matching compares: a CPU's cache holds them
+_MOST_PAIRS_AT_ONCE = 1 << 27  # elsewhere: 2 GB
+
+
+class Sources(NamedTuple):
+    """Frames of sources about their centroids, in the target's base frame.
+
+    Attributes:
+        origin: (F, 3) centroids, m.
+        pairs: (F, 6, N) points minus origin, m, and unit normals.
+        height: (F,) of the support surface, m.
+        obstacles: (F, P, 3) points on objects minus origin, m.
+    """
+
+    origin: Tensor
+    pairs: Tensor
+    height: Tensor
+    obstacles: Tensor
+
+
+class Pose(NamedTuple):
+    """B problems, each at one configuration, and what its matches amount to.
+
+    Attributes:
+        frames: (B, n + 1, 4, 4) joint frames about the source's centroid; the last is the base.
+        pairs: (B, 6, N') target pairs.
+        pull: (B, 8, N') of each target pair: force, summed lambda weight times source normals, and the sums of
+            weight / d and of lambda weight.
+        lacking: (B, C) clearance that links lack, m; 0 where they have enough.
+        wrench: (B, C, 6) how links move out, linear then about the centroid.
+    """
+
+    frames: Tensor
+    pairs: Tensor
+    pull: Tensor
+    lacking: Tensor
+    wrench: Tensor
+
+    def take(self, rows: Tensor) -> "Pose":
+        """Some of the problems, or some several times."""
+        return Pose(*(x[rows] for x in self))
+
+
+class TorchModel:
+    """A target on a device.
+
+    Args:
+        target: its arrays.
+        keep_out: links that stay clear of surroundings; without, none do.
+        lambda_m: weight of direction, m.
+        device, dtype: of the computation.
+    """
+
+    def __init__(
+        self, target: Target, keep_out: KeepOut | None, lambda_m: float, device: torch.device, dtype: torch.dtype
+    ) -> None:
+        self.device, self.dtype, self._lambda = device, dtype, lambda_m
+        real, whole = self.tensor, self._whole
+        self.lower, self.upper, self.fastest = real(target.lower), real(target.upper), real(target.fastest)
+        joints, n = target.joints, len(target.leader)
+        self._leader, self._scale = whole(target.leader), real(target.scale)
+        self._shift, self._fold = real(target.offset - joints.reference), real(_coupling(target))
+        self._motion, self._axis = real(_motions(joints)), real(joints.axis)
+        self._hinge = torch.as_tensor(joints.hinge, device=device)[:, None]
+        self._up = [whole(up) for up in _ancestors(joints.parent)]
+        carried = _carried_by(joints.parent)  # (n + 1, n): rows are joints and the base
+        self._above = real(carried[:n])
+        self._moves = real(carried[target.pad_joint])
+        carriers, which = np.unique(target.pad_joint, return_inverse=True)
+        self._carriers, self._pads = whole(carriers % (n + 1)), real(_placing(target.pads, which, len(carriers)))
+        self._links = None if keep_out is None or keep_out.weight <= 0 else _Links(self, keep_out, carried)
+
+    def tensor(self, x) -> Tensor:
+        """An array of reals on the device."""
+        return torch.as_tensor(np.asarray(x, float)).to(self.dtype).to(self.device)
+
+    def _whole(self, x) -> Tensor:
+        return torch.as_tensor(np.asarray(x, np.int64), device=self.device)
+
+    def sources(self, motions: Sequence[Motion]) -> Sources:
+        """All frames of motions, one after the other."""
+        points = np.concatenate([np.asarray(m.points_base, float) for m in motions])
+        normals = np.concatenate([np.asarray(m.normals_base, float) for m in motions])
+        origin = points.mean(axis=1)
+        pairs = self.tensor(np.concatenate([points - origin[:, None], normals], axis=2)).mT.contiguous()
+        height, obstacles = _surroundings(motions)
+        return Sources(self.tensor(origin), pairs, self.tensor(height), self.tensor(obstacles - origin[:, None]))
+
+    def evaluate(self, u: Tensor, sources: Sources, frame: Tensor) -> tuple[Tensor, Tensor, Pose]:
+        """The objective of configurations (B, m), each for one of the sources' frames, by its index (B,).
+
+        Returns:
+            (B,) DCD, m, (B,) penalty on lacking clearance, m, and what `derivatives` takes.
+        """
+        origin, source = sources.origin[frame], sources.pairs[frame]
+        frames = self._place_joints(u, origin)
+        pairs = self._place_pads(frames)
+        forth, back = _match(source, pairs, self._lambda)
+        there, pull_there = self._meet(source, _gather(pairs, forth))
+        here, pull = self._meet(_gather(source, back), pairs)
+        pull = pull.scatter_add(2, forth[:, None].expand(-1, 8, -1), pull_there)
+        lacking, wrench, penalty = u.new_zeros(len(u), 0), u.new_zeros(len(u), 0, 6), torch.zeros_like(here)
+        if self._links is not None:
+            lacking, wrench = self._links.contacts(
+                frames, sources.height[frame] - origin[:, 2], sources.obstacles[frame]
+            )
+            penalty = 0.5 * self._links.weight * lacking.square().sum(1)
+        return there + here, penalty, Pose(frames, pairs, pull, lacking, wrench)
+
+    def derivatives(self, pose: Pose) -> tuple[Tensor, Tensor]:
+        """Gradient (B, m) and Hessian (B, m, m) of the majoriser and of the penalty, in the independent joints."""
+        force, weight, lever, moment = self._loads(pose)
+        screw = self._screws(pose.frames)
+        linear, angular = screw.split(3, dim=2)
+        # What moving a joint alone takes from all that it carries: its composite 6x6 block times its screw.
+        trace = moment.diagonal(dim1=2, dim2=3).sum(2, keepdim=True)
+        effort = torch.cat(
+            [
+                weight * linear - _cross(lever, angular),
+                _cross(lever, linear) + trace * angular - (moment @ angular[..., None])[..., 0],
+            ],
+            dim=2,
+        )
+        half = self._above * (effort @ screw.mT)
+        hessian = half + half.mT - torch.diag_embed(half.diagonal(dim1=1, dim2=2))
+        gradient = (screw * force).sum(2) @ self._fold
+        hessian = self._fold.T @ hessian @ self._fold
+        if self._links is not None:
+            out = self._links.moves * (pose.wrench @ screw.mT) @ self._fold * (pose.lacking > 0)[..., None]
+            gradient = gradient - self._links.weight * (pose.lacking[:, None] @ out)[:, 0]
+            hessian = hessian + self._links.weight * (out.mT @ out)
+        return gradient, hessian
+
+    def _place_joints(self, u: Tensor, origin: Tensor) -> Tensor:
+        q = u[:, self._leader] * self._scale + self._shift
+        terms = torch.stack([torch.ones_like(q), q.sin(), 1 - q.cos(), q], dim=2)
+        own = torch.einsum("bjt,jtx->bjx", terms, self._motion).unflatten(2, (4, 4))
+        base = torch.eye(4, dtype=self.dtype, device=self.device).expand(len(u), 1, 4, 4)
+        frames = torch.cat([own, base], dim=1)
+        for up in self._up:
+            frames = frames[:, up] @ frames
+        frames[..., :3, 3] -= origin[:, None]
+        return frames
+
+    def _place_pads(self, frames: Tensor) -> Tensor:
+        carriers = frames[:, self._carriers, :3].transpose(1, 2).flatten(2)
+        return (carriers @ self._pads).unflatten(2, (2, -1)).transpose(1, 2).flatten(1, 2)
+
+    def _screws(self, frames: Tensor) -> Tensor:
+        """(B, n, 6) velocity at the centroid, linear then angular, as each joint moves."""
+        frames = frames[:, :-1]
+        axis = (frames[..., :3, :3] @ self._axis[..., None])[..., 0]
+        return torch.cat([torch.where(self._hinge, _cross(frames[..., :3, 3], axis), axis), self._hinge * axis], 2)
+
+    def _loads(self, pose: Pose) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Sums over all pads that each joint carries.
+
+        Returns:
+            (B, n, 6) forces, (B, n, 1) weights, (B, n, 3) and (B, n, 3, 3) their first and second moments, the second with
+            the weights of turning normals.
+        """
+        point, normal = pose.pairs.split(3, dim=1)
+        weight, turn = pose.pull[:, 6:7], pose.pull[:, 7:]
+        torque, turning = _cross(pose.pairs.unflatten(1, (2, 3)), pose.pull[:, :6].unflatten(1, (2, 3))).unbind(1)
+        lever = weight * point
+        moment = lever[:, :, None] * point[:, None] + (turn * normal)[:, :, None] * normal[:, None]
+        loads = (
+            torch.cat([pose.pull[:, :3], torque - turning, weight, lever, moment.flatten(1, 2)], dim=1) @ self._moves
+        )
+        force, weight, lever, moment = loads.mT.split([6, 1, 3, 9], dim=2)
+        return force, weight, lever, moment.unflatten(2, (3, 3))
+
+    def _meet(self, source: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+        """(B,) mean cost of matched pairs (B, 6, K), m, and (B, 8, K) how they pull; see `Pose`."""
+        share = 1.0 / source.shape[2]
+        offset, normal = target[:, :3] - source[:, :3], source[:, 3:]
+        squared = offset.square().sum(1, keepdim=True)
+        cost = squared.sqrt()[:, 0] - self._lambda * (normal * target[:, 3:]).sum(1)
+        stiffness = share * (squared + _SMOOTHING_M**2).rsqrt()
+        turn = torch.full_like(stiffness, share * self._lambda)
+        return cost.mean(1), torch.cat([stiffness * offset, turn * normal, stiffness, turn], 1)
+
+
+class _Links:
+    """Links as convex shapes on a device: see `kernels.keep_out`. Contacts are K with the surface, then I with objects."""
+
+    def __init__(self, model: TorchModel, keep_out: KeepOut, carried: np.ndarray) -> None:
+        self.weight = keep_out.weight
+        idle = np.flatnonzero(keep_out.idle)
+        joint = torch.as_tensor(keep_out.joint, device=model.device)
+        self._joint, self._idle_joint = joint, joint[torch.as_tensor(idle, device=model.device)]
+        margin = keep_out.margin_m
+        self._margin, self._idle_margin = model.tensor(margin), model.tensor(margin[idle])
+        self.moves = model.tensor(carried[np.concatenate([keep_out.joint, keep_out.joint[idle]])])
+        # Links have as many vertices as the richest one: the last counts several times.
+        count = np.diff(keep_out.start)
+        which = keep_out.start[:-1, None] + np.minimum(np.arange(count.max(initial=1)), count[:, None] - 1)
+        self._vertices = model.tensor(keep_out.vertices[which])
+        self._directions, self._reach = model.tensor(keep_out.directions), model.tensor(keep_out.reach[idle])
+
+    def contacts(self, frames: Tensor, height: Tensor, obstacles: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, C) lacking clearance, m, and (B, C, 6) wrenches; see `Pose`."""
+        found = self._surface(frames, height), self._objects(frames, obstacles)
+        lacking, point, normal = (torch.cat(x, dim=1) for x in zip(*found, strict=True))
+        return lacking.clamp(min=0), torch.cat([normal, _cross(point, normal)], dim=2)
+
+    def _surface(self, frames: Tensor, height: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Clearance that links lack above a surface at (B,) heights, each one's lowest point, and the way out."""
+        pose = frames[:, self._joint]
+        lowest, which = torch.einsum("bkx,kvx->bkv", pose[..., 2, :3], self._vertices).min(dim=2)
+        vertex = self._vertices[torch.arange(len(self._joint), device=which.device), which]
+        point = (pose[..., :3, :3] @ vertex[..., None])[..., 0] + pose[..., :3, 3]
+        normal = torch.zeros_like(point)
+        normal[..., 2] = 1
+        return height[:, None] + self._margin - (lowest + pose[..., 2, 3]), point, normal
+
+    def _objects(self, frames: Tensor, obstacles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Clearance that idle links lack from objects, the nearest point of those, and the link's way out."""
+        pose = frames[:, self._idle_joint]
+        rot, pos = pose[..., :3, :3], pose[..., :3, 3]
+        local = (obstacles[:, None] - pos[:, :, None]) @ rot  # (B, I, P, 3)
+        outside = (local @ self._directions.T - self._reach[:, None]).amax(dim=3)
+        distance, nearest = outside.min(dim=2)
+        point = _pick(obstacles[:, None].expand(-1, rot.shape[1], -1, -1), nearest)
+        face = (_pick(local, nearest) @ self._directions.T - self._reach).argmax(dim=2)
+        normal = -(rot @ self._directions[face][..., None])[..., 0]
+        return self._idle_margin - distance, point, normal
+
+
+def _match(source: Tensor, target: Tensor, lambda_m: float) -> tuple[Tensor, Tensor]:
+    """Nearest pairs both ways, (B, N) and (B, N') indices, of pairs (B, 6, N) and (B, 6, N').
+
+    Costs become integers with room for an index below them, so that the least integer brings its place along: a search
+    for the place of a minimum takes ten times as long.
+    """
+    n, n_target, device = source.shape[2], target.shape[2], source.device
+    row = torch.arange(n, dtype=torch.int32, device=device)[:, None]
+    column = torch.arange(n_target, dtype=torch.int32, device=device)
+    (a, normal_a), (b, normal_b) = source.split(3, dim=1), target.split(3, dim=1)
+    aa, bb = a.square().sum(1, keepdim=True), b.square().sum(1, keepdim=True)
+    room, most = max(n, n_target), aa.amax(2, True).sqrt() + bb.amax(2, True).sqrt() + 1.01 * abs(lambda_m) + 1e-6
+    scale = (2**31 / room - 2) / most
+    near = torch.cat([aa, torch.ones_like(aa), a], 1), scale**2 * torch.cat([torch.ones_like(bb), bb, -2 * b], 1)
+    factors = *near, normal_a, -lambda_m * scale * normal_b
+    at_once = max(1, _PAIRS_AT_ONCE.get(device.type, _MOST_PAIRS_AT_ONCE) // (n * n_target))
+    forth, back = [], []
+    for some in zip(*(x.split(at_once) for x in factors), strict=True):
+        cost = (some[0].mT @ some[1]).clamp_(min=0).sqrt_().baddbmm_(some[2].mT, some[3]).to(torch.int32)
+        forth.append(torch.add(column, cost, alpha=room).amin(dim=2))
+        back.append(torch.add(row, cost, alpha=room).amin(dim=1))
+    return torch.cat(forth).remainder_(room).long(), torch.cat(back).remainder_(room).long()
+
+
+def _gather(pairs: Tensor, which: Tensor) -> Tensor:
+    return pairs.gather(2, which[:, None].expand(-1, pairs.shape[1], -1))
+
+
+def _pick(x: Tensor, which: Tensor) -> Tensor:
+    """Of (B, I, P, 3), (B, I, 3) by the index (B, I)."""
+    return x.gather(2, which[..., None, None].expand(-1, -1, 1, 3))[:, :, 0]
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    return torch.linalg.cross(a, b, dim=2)
+
+
+def _surroundings(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) heights and (F, P, 3) obstacle points of all frames."""
+    heights, obstacles = [], []
+    for motion in motions:
+        around, frames = motion.surroundings, len(motion.points_base)
+        heights += [-np.inf if around is None else around.support_z_base_m] * frames
+        points = () if around is None else around.obstacles_base
+        obstacles += list(points) if len(points) else [np.zeros((0, 3))] * frames
+    filled = np.full((len(obstacles), max([1, *map(len, obstacles)]), 3), _FAR_M)
+    for row, points in zip(filled, obstacles, strict=True):
+        row[: len(points)] = points
+    return np.array(heights), filled
+
+
+def _motions(joints) -> np.ndarray:
+    """(n, 4, 16) a joint's own transform as a sum over 1, sin q, 1 - cos q (Rodrigues' formula) and q."""
+    x, y, z = joints.axis.T
+    cross = np.zeros((len(x), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
+    cross = (cross - cross.transpose(0, 2, 1)) * joints.hinge[:, None, None]
+    terms = np.zeros((len(x), 4, 4, 4))
+    terms[:, 0, :3, :3], terms[:, 0, :3, 3], terms[:, 0, 3, 3] = joints.rot, joints.pos, 1
+    terms[:, 1, :3, :3], terms[:, 2, :3, :3] = joints.rot @ cross, joints.rot @ cross @ cross
+    terms[:, 3, :3, 3] = np.einsum("nij,nj->ni", joints.rot, joints.axis) * ~joints.hinge[:, None]
+    return terms.reshape(len(x), 4, 16)
+
+
+def _ancestors(parent: np.ndarray) -> list[np.ndarray]:
+    """(n + 1,) of each joint and the base, the last: the ancestors 1, 2, 4, ... up, as far as there are any.
+
+    Transforms multiplied with those of these ancestors in turn reach the base in as many products as a chain's length
+    has bits.
+    """
+    base = len(parent)
+    up, found = np.append(np.where(parent < 0, base, parent), base), []
+    while (up != base).any():
+        found.append(up)
+        up = up[up]
+    return found
+
+
+def _carried_by(parent: np.ndarray) -> np.ndarray:
+    """(n + 1, n) whether a joint (the last row: the base) is moved by each joint."""
+    carried = np.eye(len(parent) + 1, len(parent), dtype=bool)
+    for k, up in enumerate(parent):
+        carried[k] |= carried[up]
+    return carried
+
+
+def _coupling(target: Target) -> np.ndarray:
+    """(n, m) how joints follow the independent ones."""
+    coupling = np.zeros((len(target.leader), len(target.lower)))
+    coupling[np.arange(len(target.leader)), target.leader] = target.scale
+    return coupling
+
+
+def _placing(pads: np.ndarray, carrier: np.ndarray, carriers: int) -> np.ndarray:
+    """(4 K, 2 N') what rows of K frames, side by side, are multiplied with to place points and normals."""
+    placing, each = np.zeros((carriers, 4, 2, len(pads))), np.arange(len(pads))
+    for i in range(3):
+        placing[carrier, i, 0, each], placing[carrier, i, 1, each] = pads[:, i], pads[:, 3 + i]
+    placing[carrier, 3, 0, each] = 1
+    return placing.reshape(4 * carriers, 2 * len(pads))
