@@ -1,6 +1,6 @@
 """The alignment's speed and quality: ours beside the paper's way, mink and dex-retargeting, on recorded demonstrations.
 
-usage: python benchmarks/alignment.py [--demonstrations 10] [--frames 40] [--pairs 128] [--lambda_m 0.05] [--results results/alignment]
+usage: python benchmarks/alignment.py [--demonstrations 10] [--frames 30] [--pairs 128] [--lambda_m 0.05] [--results results/alignment]
 
 All methods run in this one process, ours again before each of the others, on the same middle part of the same demonstrations
 (development seeds 0 and up, recorded once to outputs/alignment-benchmark) and from the same first frames. Times are wall-clock milliseconds a
@@ -77,7 +77,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("targets", nargs="*", default=TARGETS)
     parser.add_argument("--demonstrations", type=int, default=10)
-    parser.add_argument("--frames", type=int, default=40, help="of each demonstration, from its middle")
+    parser.add_argument("--frames", type=int, default=30, help="of each demonstration, from its middle")
     parser.add_argument("--pairs", type=int, default=128, help="point-normal pairs of each representation")
     parser.add_argument("--lambda_m", type=float, default=0.05)
     parser.add_argument("--results", type=Path, default=Path("results/alignment"))

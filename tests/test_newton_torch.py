@@ -247,10 +247,8 @@ def test_idle_fingers_get_out_of_the_way_as_with_the_compiled_solver() -> None:
     assert np.ptp(free.u[:, pinky]) == 0
     assert abs(held.u[-1, pinky] - free.u[-1, pinky]) > 0.05
     follower = Follower(problem, OPTIONS)
-    for u in (free.u, held.u):
-        np.testing.assert_allclose(solver.shortfall_m(motion, u), follower.shortfall_m(motion, u), atol=1e-9)
-    assert solver.shortfall_m(motion, free.u)[-1] > 0.005
-    assert solver.shortfall_m(motion, held.u)[-1] < 0.002
+    assert follower.shortfall_m(motion, free.u)[-1] > 0.005
+    assert follower.shortfall_m(motion, held.u)[-1] < 0.002
 
 
 # -- device --------------------------------------------------------------------------------------------------

@@ -11,7 +11,9 @@ from cei_gym.embodiment.meshes import collision_geoms, link_mesh
 from cei_gym.kinematics import KinematicTree
 from cei_gym.kinematics.joints import JointTree, reduce_to_joints
 
-_OUTERMOST = 128  # directions in which a link's outermost vertices are kept
+_OUTERMOST = (
+    512  # directions in which a link keeps its outermost vertices: within 2 mm of all of them against any plane
+)
 _SIDES = 64  # directions that bound a link against points
 
 

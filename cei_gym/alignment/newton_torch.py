@@ -132,13 +132,6 @@ class TorchNewtonSolver:
         state = state._replace(first=state.first - 2, last=self._free.tensor(before)[None])
         return self._follow(self._free, motions, state)[0].u[0]
 
-    @torch.inference_mode()
-    def shortfall_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
-        """(T,) clearance that the worst link lacks at (T, m) configurations of a motion with surroundings, m."""
-        model, frames = self._guarded, torch.arange(len(u), device=self._device)
-        lacking = model.evaluate(model.tensor(u), model.sources([motion]), frames)[2].lacking
-        return lacking.amax(dim=1).cpu().double().numpy()
-
     def derivatives(self, points_base, normals_base, u) -> tuple[float, np.ndarray, np.ndarray]:
         """DCD, gradient (m,) and majoriser's Hessian (m, m) at one frame, for inspection and tests."""
         model = self._free

@@ -1,8 +1,8 @@
 """Clearance as a part of the objective: links stay above the support surface, idle fingers out of objects.
 
 A link is convex here: its outermost vertices for a plane, and their extent along fixed directions for points. Both are a
-few multiplications a link, need no collision library inside compiled code, and are exact against a plane. Spheres fitted
-to links would be centimetres off at a palm's corners.
+few multiplications a link, need no collision library inside compiled code, and are within 2 mm of the meshes against a plane.
+Spheres fitted to links would be centimetres off at a palm's corners.
 """
 
 from typing import NamedTuple
