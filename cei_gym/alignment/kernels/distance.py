@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from cei_gym.alignment.kernels.target import empty_pose, empty_source, load_source
+from cei_gym.alignment.kernels.target import empty_pose, empty_source, load_source, radius
 
 # Without NaN or infinity in sight, loops become wide instructions.
 _WIDE = {"contract", "arcp", "nsz", "reassoc", "nnan", "ninf", "afn"}
@@ -15,7 +15,7 @@ def evaluate(target, source, lambda_m, u, pose):
     """DCD at u, metres; fills `pose`."""
     place_joints(target, u, pose)
     _place_pads(target, source.origin, pose)
-    match(source.pairs32, pose, np.float32(lambda_m))
+    match(source, pose, np.float32(lambda_m))
     return _distance(source.pairs, pose, lambda_m)
 
 
@@ -62,88 +62,95 @@ def place_joints(target, u, pose):
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _place_pads(target, origin, pose):
-    for n in range(len(target.pad_joint)):
-        k = target.pad_joint[n]
-        p = target.pads[n]
+    rot, pos, pads, pad_joint, pairs, pairs32 = (
+        pose.rot,
+        pose.pos,
+        target.pads,
+        target.pad_joint,
+        pose.pairs,
+        pose.pairs32,
+    )
+    for n in range(len(pad_joint)):
+        k = pad_joint[n]
         for i in range(3):
             if k < 0:
-                x, y = p[i], p[3 + i]
+                x, y = pads[n, i], pads[n, 3 + i]
             else:
-                a, b, d = pose.rot[k, i, 0], pose.rot[k, i, 1], pose.rot[k, i, 2]
-                x = pose.pos[k, i] + a * p[0] + b * p[1] + d * p[2]
-                y = a * p[3] + b * p[4] + d * p[5]
-            pose.pairs[i, n], pose.pairs[3 + i, n] = x - origin[i], y
-            pose.pairs32[i, n], pose.pairs32[3 + i, n] = x - origin[i], y
+                a, b, d = rot[k, i, 0], rot[k, i, 1], rot[k, i, 2]
+                x = pos[k, i] + a * pads[n, 0] + b * pads[n, 1] + d * pads[n, 2]
+                y = a * pads[n, 3] + b * pads[n, 4] + d * pads[n, 5]
+            pairs[i, n], pairs[3 + i, n] = x - origin[i], y
+            pairs32[i, n], pairs32[3 + i, n] = x - origin[i], y
+    pose.radius[0] = radius(pairs)
 
 
 @njit(cache=True, nogil=True, fastmath=_WIDE)
-def match(pairs, pose, lambda_m):
-    """Nearest pair in both directions, all in single precision: fills `pose.match` and `pose.match_back`."""
-    pose.best_back[:] = np.float32(np.inf)
-    pose.match_back[:] = np.int32(0)
-    x, y, z, nx, ny, nz = (
-        pose.pairs32[0],
-        pose.pairs32[1],
-        pose.pairs32[2],
-        pose.pairs32[3],
-        pose.pairs32[4],
-        pose.pairs32[5],
-    )
-    # Costs are kept positive: then their bits, read as integers, have the same order, and integer minima vectorise.
-    offset = np.float32(1.01) * abs(lambda_m) + np.float32(1e-6)
-    row = pose.row
-    bits = row.view(np.int32)
-    for i in range(pairs.shape[1]):
-        a, b, c = pairs[0, i], pairs[1, i], pairs[2, i]
-        na, nb, nc = lambda_m * pairs[3, i], lambda_m * pairs[4, i], lambda_m * pairs[5, i]
-        row_costs(a, b, c, na, nb, nc, offset, x, y, z, nx, ny, nz, row)
-        pose.match[i] = _first(bits, _least(bits))
-        _keep_better(row, np.int32(i), pose.best_back, pose.match_back)
+def match(source, pose, lambda_m):
+    """Nearest pair in both directions, in single precision: fills `pose.match` and `pose.match_back`.
 
-
-# One loop a function: the compiler vectorises each, but not their union.
+    Costs become integers with room for an index below them, so that the least integer brings its place along; minima of
+    integers vectorise where a search for the place of a minimum does not. Costs are told apart to 2^-24 of the largest.
+    """
+    n_source, n_target = source.pairs32.shape[1], pose.pairs32.shape[1]
+    bits = np.int32(0)
+    while (1 << bits) < max(n_source, n_target):
+        bits += np.int32(1)
+    mask = np.int32((1 << bits) - 1)
+    least_m = np.float32(1.01) * lambda_m + np.float32(1e-6)  # keeps costs positive
+    largest_m = np.float32(source.radius[0] + pose.radius[0]) + np.float32(2.0) * least_m
+    scale = np.float32((1 << (31 - bits)) - 128) / largest_m
+    p, q, back, found, found_back = source.pairs32, pose.pairs32, pose.keys, pose.match, pose.match_back
+    x, y, z, nx, ny, nz = q[0], q[1], q[2], q[3], q[4], q[5]
+    for j in range(n_target):
+        back[j] = np.int32(2147483647)
+    turn = lambda_m * scale
+    for i in range(n_source):
+        key = match_one(
+            p[0, i],
+            p[1, i],
+            p[2, i],
+            turn * p[3, i],
+            turn * p[4, i],
+            turn * p[5, i],
+            least_m * scale,
+            scale,
+            bits,
+            np.int32(i),
+            x,
+            y,
+            z,
+            nx,
+            ny,
+            nz,
+            back,
+        )
+        found[i] = key & mask
+    for j in range(n_target):
+        found_back[j] = back[j] & mask
 
 
 @njit(cache=True, nogil=True, fastmath=_WIDE)
-def row_costs(a, b, c, na, nb, nc, offset, x, y, z, nx, ny, nz, row):
-    for j in range(len(row)):
+def match_one(a, b, c, na, nb, nc, least, scale, bits, i, x, y, z, nx, ny, nz, back):
+    """Key of the target pair nearest to source pair i; lowers the keys in `back` of those that i is nearest to."""
+    nearest = np.int32(2147483647)
+    for j in range(len(back)):
         dx, dy, dz = x[j] - a, y[j] - b, z[j] - c
-        row[j] = np.sqrt(dx * dx + dy * dy + dz * dz) - (na * nx[j] + nb * ny[j] + nc * nz[j]) + offset
-
-
-@njit(cache=True, nogil=True)
-def _least(bits):
-    least = np.int32(2147483647)
-    for j in range(len(bits)):
-        least = min(least, bits[j])
-    return least
-
-
-@njit(cache=True, nogil=True)
-def _first(bits, value):
-    n = np.int32(len(bits))
-    where = n
-    for j in range(len(bits)):
-        where = min(where, np.int32(j) if bits[j] == value else n)
-    return where
-
-
-@njit(cache=True, nogil=True, fastmath=_WIDE)
-def _keep_better(row, i, best, which):
-    for j in range(len(row)):
-        better = row[j] < best[j]
-        best[j] = row[j] if better else best[j]
-        which[j] = i if better else which[j]
+        cost = np.sqrt(dx * dx + dy * dy + dz * dz) * scale - (na * nx[j] + nb * ny[j] + nc * nz[j]) + least
+        key = np.int32(np.int32(cost) << bits)
+        nearest = min(nearest, np.int32(key | np.int32(j)))
+        back[j] = min(back[j], np.int32(key | i))
+    return nearest
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _distance(source, pose, lambda_m):
+    pairs, match, match_back = pose.pairs, pose.match, pose.match_back
     forth, back = 0.0, 0.0
-    for i in range(source.shape[1]):
-        forth += _cost(source, i, pose.pairs, pose.match[i], lambda_m)
-    for j in range(pose.pairs.shape[1]):
-        back += _cost(source, pose.match_back[j], pose.pairs, j, lambda_m)
-    return forth / source.shape[1] + back / pose.pairs.shape[1]
+    for i in range(len(match)):
+        forth += _cost(source, i, pairs, match[i], lambda_m)
+    for j in range(len(match_back)):
+        back += _cost(source, match_back[j], pairs, j, lambda_m)
+    return forth / len(match) + back / len(match_back)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)

@@ -70,29 +70,43 @@ class Source(NamedTuple):
         origin: (3,) centroid in the target's base frame.
         pairs: (6, N) points minus origin, and normals.
         pairs32: the same in single precision.
+        radius: (1,) farthest point from the origin, m.
     """
 
     origin: np.ndarray
     pairs: np.ndarray
     pairs32: np.ndarray
+    radius: np.ndarray
 
 
 @njit(cache=True, nogil=True)
 def empty_source(n):
-    return Source(np.empty(3), np.empty((6, n)), np.empty((6, n), np.float32))
+    return Source(np.empty(3), np.empty((6, n)), np.empty((6, n), np.float32), np.empty(1))
 
 
 @njit(cache=True, nogil=True)
 def load_source(points, normals, source):
     """Fill `source` with one frame, (N, 3) each."""
-    n = len(points)
-    for i in range(3):
-        source.origin[i] = points[:, i].sum() / n
-        for k in range(n):
-            source.pairs[i, k] = points[k, i] - source.origin[i]
-            source.pairs[3 + i, k] = normals[k, i]
-            source.pairs32[i, k] = source.pairs[i, k]
-            source.pairs32[3 + i, k] = normals[k, i]
+    origin, pairs, pairs32 = source.origin, source.pairs, source.pairs32
+    origin[:] = 0.0
+    for k in range(len(points)):
+        for i in range(3):
+            origin[i] += points[k, i] / len(points)
+    for k in range(len(points)):
+        for i in range(3):
+            pairs[i, k], pairs[3 + i, k] = points[k, i] - origin[i], normals[k, i]
+            pairs32[i, k], pairs32[3 + i, k] = pairs[i, k], normals[k, i]
+    source.radius[0] = radius(pairs)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def radius(pairs):
+    """Largest distance of (6, N) pairs' points from the origin, m."""
+    largest = 0.0
+    for j in range(pairs.shape[1]):
+        squared = pairs[0, j] ** 2 + pairs[1, j] ** 2 + pairs[2, j] ** 2
+        largest = squared if squared > largest else largest
+    return np.sqrt(largest)
 
 
 class Pose(NamedTuple):
@@ -104,7 +118,8 @@ class Pose(NamedTuple):
         pairs32: the same in single precision.
         match: (N,) target pair of each source pair.
         match_back: (N',) source pair of each target pair.
-        best_back, row: (N',) scratch of the matching.
+        keys: (N',) scratch of the matching.
+        radius: (1,) farthest pad from the source's origin, m.
     """
 
     rot: np.ndarray
@@ -114,8 +129,8 @@ class Pose(NamedTuple):
     pairs32: np.ndarray
     match: np.ndarray
     match_back: np.ndarray
-    best_back: np.ndarray
-    row: np.ndarray
+    keys: np.ndarray
+    radius: np.ndarray
 
 
 @njit(cache=True, nogil=True)
@@ -129,6 +144,6 @@ def empty_pose(target, n_source):
         np.empty((6, pads), np.float32),
         np.empty(n_source, np.int32),
         np.empty(pads, np.int32),
-        np.empty(pads, np.float32),
-        np.empty(pads, np.float32),
+        np.empty(pads, np.int32),
+        np.empty(1),
     )

@@ -1,0 +1,39 @@
+"""The alignment's benchmarks run, on next to nothing, and write what they promise."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+
+def run(script: str, tmp_path: Path, *args: str) -> str:
+    command = [sys.executable, str(BENCHMARKS / script), "--results", str(tmp_path / "results"), *args]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_alignment(tmp_path: Path) -> None:
+    run("alignment.py", tmp_path, "UR5e-RobotiqThreeFinger", "--demonstrations=1", "--frames=3", "--pairs=16")
+    result = json.loads((tmp_path / "results/speed_lambda_0.05.json").read_text())
+    rows = {(row["method"], row["threads"]): row for row in result["methods"]}
+    ours, papers = rows["ours", 1], [row for (name, _), row in rows.items() if name.startswith("paper")]
+    assert len(papers) == 4  # three learning rates, and the best with all threads
+    assert (
+        ours["objective_mean_m"] < min(row["objective_mean_m"] for row in papers) + 2e-3
+    )  # so few pairs have many minima
+    assert ours["ms_per_frame"] < min(row["ms_per_frame"] for row in papers)
+    assert [row["demonstrations"] for row in result["scaling"]] == [1, 25, 100, 400]
+    assert len(result["floor"]) == len(result["live"]) == 1
+    assert (tmp_path / "results/speed_lambda_0.05.png").stat().st_size > 10_000
+    assert (tmp_path / "results/speed_lambda_0.05.csv").read_text().count("\n") == len(result["methods"]) + 1
+
+
+def test_first_frame(tmp_path: Path) -> None:
+    printed = run("first_frame.py", tmp_path, "--cases=2", "--seed=0")
+    assert "multistart" in printed
+    result = json.loads((tmp_path / "results/first_frame.json").read_text())
+    assert result["cases"] == 2
+    assert result["methods"]["multistart"]["found_percent"] == 100
