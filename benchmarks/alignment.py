@@ -81,12 +81,16 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=128, help="point-normal pairs of each representation")
     parser.add_argument("--lambda_m", type=float, default=0.05)
     parser.add_argument("--results", type=Path, default=Path("results/alignment"))
+    parser.add_argument("--redraw", action="store_true", help="only draw the picture of the results there are")
     args = parser.parse_args()
     quiet_libraries()
     args.results.mkdir(parents=True, exist_ok=True)
     options = SolverOptions(lambda_m=args.lambda_m)
     name = f"speed_lambda_{args.lambda_m:g}"
     path = args.results / f"{name}.json"
+    if args.redraw:
+        draw(json.loads(path.read_text()), path.with_suffix(".png"))
+        return
     result = {
         "command": f"python benchmarks/alignment.py --demonstrations {args.demonstrations} --frames {args.frames} --pairs {args.pairs} "
         f"--lambda_m {args.lambda_m:g}",
@@ -372,6 +376,12 @@ def resample(qpos: np.ndarray, frames: int) -> np.ndarray:
     return np.stack([np.interp(at, np.arange(len(qpos)), column) for column in qpos.T], axis=1)
 
 
+def label(row: dict) -> str:
+    """A method's name in the picture; its best learning rate differs from target to target."""
+    many = row["threads"] > 1 and row["method"].startswith("paper")
+    return f"paper, best rate, {row['threads']} threads" if many else row["method"]
+
+
 def draw(result: dict, path: Path) -> None:
     """Objective against time for each method; down and to the left is better."""
     import matplotlib
@@ -381,16 +391,13 @@ def draw(result: dict, path: Path) -> None:
 
     targets = list(dict.fromkeys(row["target"] for row in result["methods"]))
     figure, axes = plt.subplots(1, len(targets), figsize=(4 * len(targets), 4.4), sharex=True, squeeze=False)
-    methods = list(dict.fromkeys((row["method"], row["threads"]) for row in result["methods"]))
+    names = list(dict.fromkeys(label(row) for row in result["methods"]))
     for axis, target in zip(axes[0], targets, strict=True):
         for row in (r for r in result["methods"] if r["target"] == target):
-            i = methods.index((row["method"], row["threads"]))
-            ours = row["method"].startswith("ours")
-            label = row["method"] + (f" ({row['threads']} threads)" if row["threads"] > 1 and not ours else "")
-            marker = "o" if ours else "s" if row["method"].startswith("paper") else "^"
-            axis.scatter(
-                row["ms_per_frame"], 1e3 * row["objective_mean_m"], color=f"C{i}", marker=marker, s=60, label=label
-            )
+            name = label(row)
+            marker = "o" if name.startswith("ours") else "s" if name.startswith("paper") else "^"
+            time_ms, objective_mm = row["ms_per_frame"], 1e3 * row["objective_mean_m"]
+            axis.scatter(time_ms, objective_mm, color=f"C{names.index(name)}", marker=marker, s=60, label=name)
         axis.set(title=target, xscale="log", xlabel="ms a demonstration-frame")
         axis.grid(alpha=0.3, which="both")
     axes[0, 0].set_ylabel("mean Directional Chamfer Distance (mm)")
