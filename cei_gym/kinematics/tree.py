@@ -60,7 +60,7 @@ def forward_into(tree: TreeArrays, qpos, rot, pos, axis, anchor):
                     anchor[joint, i] += rot[body, i, k] * tree.anchor[joint, k]
             value = qpos[joint] - tree.reference[joint]
             if tree.hinge[joint]:
-                _rotate(rot[body], tree.axis[joint], value)
+                rotate(rot[body], tree.axis[joint, 0], tree.axis[joint, 1], tree.axis[joint, 2], value)
                 for i in range(3):
                     pos[body, i] = anchor[joint, i]
                     for k in range(3):
@@ -71,10 +71,9 @@ def forward_into(tree: TreeArrays, qpos, rot, pos, axis, anchor):
 
 
 @njit(cache=True, nogil=True)
-def _rotate(rot, axis, angle):
-    """rot <- rot @ exp([axis] angle), by Rodrigues' formula."""
+def rotate(rot, x, y, z, angle):
+    """rot <- rot @ exp([(x, y, z)] angle), by Rodrigues' formula."""
     c, s = np.cos(angle), np.sin(angle)
-    x, y, z = axis
     v = 1.0 - c
     m00, m01, m02 = c + x * x * v, x * y * v - z * s, x * z * v + y * s
     m10, m11, m12 = y * x * v + z * s, c + y * y * v, y * z * v - x * s

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from cei_gym.alignment.kernels.target import empty_pose, empty_source, load_source, radius
+from cei_gym.kinematics.tree import rotate
 
 # Without NaN or infinity in sight, loops become wide instructions.
 _WIDE = {"contract", "arcp", "nsz", "reassoc", "nnan", "ninf", "afn"}
@@ -28,21 +29,10 @@ def place_joints(target, u, pose):
         value = u[target.leader[k]] * target.scale[k] + target.offset[k] - joints.reference[k]
         x, y, z = joints.axis[k, 0], joints.axis[k, 1], joints.axis[k, 2]
         R = joints.rot[k]
+        for i in range(3):
+            local[i, 0], local[i, 1], local[i, 2] = R[i, 0], R[i, 1], R[i, 2]
         if joints.hinge[k]:
-            # Rodrigues' formula
-            c, s = np.cos(value), np.sin(value)
-            v = 1.0 - c
-            m00, m01, m02 = c + x * x * v, x * y * v - z * s, x * z * v + y * s
-            m10, m11, m12 = y * x * v + z * s, c + y * y * v, y * z * v - x * s
-            m20, m21, m22 = z * x * v - y * s, z * y * v + x * s, c + z * z * v
-            for i in range(3):
-                a, b, d = R[i, 0], R[i, 1], R[i, 2]
-                local[i, 0] = a * m00 + b * m10 + d * m20
-                local[i, 1] = a * m01 + b * m11 + d * m21
-                local[i, 2] = a * m02 + b * m12 + d * m22
-        else:
-            for i in range(3):
-                local[i, 0], local[i, 1], local[i, 2] = R[i, 0], R[i, 1], R[i, 2]
+            rotate(local, x, y, z, value)
         t0, t1, t2 = joints.pos[k, 0], joints.pos[k, 1], joints.pos[k, 2]
         for i in range(3):
             if up < 0:
