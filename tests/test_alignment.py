@@ -1,5 +1,7 @@
 """The trajectory alignment: derivatives, solvers, limits, basins, clearance, and the report."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -266,6 +268,25 @@ def test_bad_options_are_refused(changes: dict, message: str) -> None:
     with pytest.raises(CEIError) as error:
         SolverOptions(**changes)
     assert str(error.value) == message
+
+
+def test_compiled_code_is_read_from_disk_by_the_next_process() -> None:
+    code = """
+import numpy as np
+from cei_gym.alignment import AlignmentProblem, SolverOptions, make_solver, newton
+from cei_gym.embodiment import load_embodiment
+from cei_gym.functional import sample_representation
+from cei_gym.kinematics import KinematicTree
+body = load_embodiment("Panda-PandaGripper")
+problem = AlignmentProblem(sample_representation(body, 8), KinematicTree(body))
+u = body.coupled.reduce(body.home)
+make_solver(problem, SolverOptions()).track(*problem.place(u[None]), u)
+stats = newton._track.stats
+print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
+"""
+    for _ in range(2):
+        process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.split() == ["1", "0"]
 
 
 # -- first frame ---------------------------------------------------------------------------------------------
