@@ -126,7 +126,7 @@ class Transfer:
         if self.options.method == "bms":
             self._manual = self._specify(demonstrations[0])
             return
-        motions = [self._motion(d, squeezed=True) for d in demonstrations]
+        motions = [self._squeezed(d, self._motion(d)) for d in demonstrations]
         starts = find_basins(
             self.problem, self.solver_options, motions[0].points_base[0], motions[0].normals_base[0], self.init
         )
@@ -162,9 +162,9 @@ class Transfer:
         else:
             motion, track, report = self._follow(motion, mode)
             closing = track
-            squeezed = self._motion(demonstration, squeezed=True, scenes=scenes)
+            squeezed = self._squeezed(demonstration, motion)
             if np.any(squeezed.points_base != motion.points_base):
-                closing = self._follower.follow(replace(squeezed, u0=motion.u0))
+                closing = self._follower.follow(squeezed)
         qpos = self.target.coupled.expand(track.u)
         # a_t = q_(t+1); the last frame holds.
         action = self.target.coupled.expand(np.concatenate([closing.u[1:], closing.u[-1:]]))
@@ -228,8 +228,7 @@ class Transfer:
         return min(both, key=lambda manual: self._specified(manual, demonstration, motion).objective.mean())
 
     def _specified(self, manual: ManualAlignment, demonstration: Demonstration, motion: Motion) -> Track:
-        T_target_source = np.linalg.inv(self._base(demonstration)) @ demonstration.scene.T_world_base
-        u = manual.track(demonstration.qpos, T_target_source)
+        u = manual.track(demonstration.qpos, self._T_target_source(demonstration))
         objective = [
             directional_chamfer_distance(p, n, *self.problem.place(q), self.solver_options.lambda_m)
             for p, n, q in zip(motion.points_base, motion.normals_base, u, strict=True)
@@ -246,25 +245,25 @@ class Transfer:
         # Bases stand upright, so a height in the world and one in the base frame differ by the base's own.
         return min(float(scene.workspace_world[0, 2]), lowest_world) - float(self._base(demonstration)[2, 3])
 
-    def _motion(
-        self, demonstration: Demonstration, squeezed: bool = False, scenes: Sequence[np.ndarray] = ()
-    ) -> Motion:
-        """What the source's pads do, in the target's base frame.
-
-        With `squeezed`, each pad is moved along its normal by what its command asks beyond where it is, up to squeeze_m.
-        """
-        T_target_source = np.linalg.inv(self._base(demonstration)) @ demonstration.scene.T_world_base
-        points, normals = self.place_source(demonstration.qpos, T_target_source)
-        if squeezed:
-            commanded = demonstration.qpos.copy()
-            hand = slice(self.source.n_arm, None)
-            commanded[:, hand] = demonstration.action[:, hand]
-            wanted, _ = self.place_source(commanded, T_target_source)
-            gap = np.einsum("tni,tni->tn", wanted - points, normals).mean(axis=1)
-            points = points + np.clip(gap, 0.0, self.options.squeeze_m)[:, None, None] * normals
+    def _motion(self, demonstration: Demonstration, scenes: Sequence[np.ndarray] = ()) -> Motion:
+        """What the source's pads do, in the target's base frame; it starts from the target's home."""
+        points, normals = self.place_source(demonstration.qpos, self._T_target_source(demonstration))
         surroundings = Surroundings(self._support_z_base_m(demonstration), self._obstacles(demonstration, scenes))
         home = self.target.coupled.reduce(self.target.home)
         return Motion(points, normals, home, dt_s=1.0 / demonstration.fps, surroundings=surroundings)
+
+    def _squeezed(self, demonstration: Demonstration, motion: Motion) -> Motion:
+        """The same, with each pad moved along its normal by what its command asks beyond where it is, up to squeeze_m."""
+        commanded = demonstration.qpos.copy()
+        hand = slice(self.source.n_arm, None)
+        commanded[:, hand] = demonstration.action[:, hand]
+        wanted, _ = self.place_source(commanded, self._T_target_source(demonstration))
+        gap = np.einsum("tni,tni->tn", wanted - motion.points_base, motion.normals_base).mean(axis=1)
+        squeeze = np.clip(gap, 0.0, self.options.squeeze_m)[:, None, None]
+        return replace(motion, points_base=motion.points_base + squeeze * motion.normals_base)
+
+    def _T_target_source(self, demonstration: Demonstration) -> np.ndarray:
+        return np.linalg.inv(self._base(demonstration)) @ demonstration.scene.T_world_base
 
     def _obstacles(self, demonstration: Demonstration, scenes: Sequence[np.ndarray]) -> list[np.ndarray]:
         """For each frame some points on objects, target's base frame: whatever stands on the support surface."""

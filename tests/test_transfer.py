@@ -152,7 +152,7 @@ def test_a_squeeze_asks_for_no_more_than_the_source_did(transfer: Callable) -> N
     for asked, expected in ((0.012, 0.003), (0.0, 0.010), (0.030, 0.0)):
         action = demonstration().action.copy()
         action[-1, 7:] = asked * np.array([1, -1])
-        points = fitted._motion(demonstration(action=action), squeezed=True).points_base
+        points = fitted._squeezed(demonstration(action=action), observed).points_base
         along = np.einsum("ni,ni->n", (points - observed.points_base)[-1], observed.normals_base[-1])
         np.testing.assert_allclose(along, expected, atol=1e-9)
 

@@ -58,7 +58,7 @@ def take_step(hessian, gradient, damping, lower, upper, u, new, memory):
 def _solve_free(hessian, gradient, damping, memory):
     """Solve for the free joints, the steps of the others held.
 
-    Our own Cholesky: at 20 joints it takes a tenth of the time of a call to LAPACK.
+    Our own Cholesky: at 13 joints it takes a third of the time of numba's call to LAPACK, and allocates nothing.
     """
     L, x, free, delta, fixed = memory
     n = 0
