@@ -58,12 +58,14 @@ class PhysicsException:
             body and hold everywhere; the simulator's package knows the others.
         reason: why, in one sentence; printed in every report.
         enabled: the switch.
+        required: whether nothing works without it, so that it also holds where stock physics are asked for.
         parameters: numbers and names that the kind needs.
     """
 
     kind: str
     reason: str
     enabled: bool = True
+    required: bool = False
     parameters: dict[str, Any] = field(default_factory=dict)
 
 

@@ -22,6 +22,8 @@ END_EFFECTOR_TOLERANCE_RAD = 0.05
 END_EFFECTOR_TOLERANCE_M = 0.002
 STALLED_RAD = 0.1  # an arm that ends a step this far from its target is held back
 STALLED_STEPS = 10
+HELD_TICKS = 20
+"""Control periods in a row for which a task must be done to count (1 s): success is what lasts."""
 AT_REST = 0.05  # rad/s or m/s: joints slower than this have arrived, or are blocked by what they hold
 
 
@@ -32,6 +34,8 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         embodiment: catalogue name, `<Arm>-<EndEffector>`.
         max_hold_ticks: most control periods (1/20 s) that one step waits for the joints to reach its target.
         image_width, image_height: size of the depth camera's image.
+        clouds: whether observations have a `point_cloud`; without, nothing is rendered and a step is several times faster.
+        stock_physics: leave out the physics exceptions that embodiments declare, but for those required to drive them.
         render_mode: "rgb_array" or None.
     """
 
@@ -46,9 +50,13 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         max_hold_ticks: int = 5,
         image_width: int = 160,
         image_height: int = 120,
+        clouds: bool = True,
+        stock_physics: bool = False,
         render_mode: str | None = None,
     ) -> None:
-        gym.utils.EzPickle.__init__(self, embodiment, max_hold_ticks, image_width, image_height, render_mode)
+        gym.utils.EzPickle.__init__(
+            self, embodiment, max_hold_ticks, image_width, image_height, clouds, stock_physics, render_mode
+        )
         if max_hold_ticks < 1:
             raise CEIError(f"max_hold_ticks is at least 1, not {max_hold_ticks}.")
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -56,10 +64,10 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         self.embodiment: Embodiment = load_embodiment(embodiment)
         self.render_mode = render_mode
         self._max_hold_ticks = max_hold_ticks
-        self._simulation = Simulation(self.embodiment, self._make_robosuite)
+        self._simulation = Simulation(self.embodiment, self._make_robosuite, stock_physics)
         front = look_at("front", (0.75, 0.45, 1.45), (-0.08, 0.0, 0.85), image_width, image_height, 45.0)
         self.scene = Scene(self._simulation.T_world_base, (front,), self._workspace_world())
-        self._camera = DepthCamera(self._simulation.model, self.scene.cameras)
+        self._camera = DepthCamera(self._simulation.model, self.scene.cameras) if clouds else None
         self._depth_m: dict[str, np.ndarray] = {}
         self._picture: Picture | None = None
         n = len(self.embodiment.joint_names)
@@ -69,19 +77,15 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         self._tolerance = np.where(arm, ARM_TOLERANCE_RAD, tolerance)[self._simulation.driven]
         lower, upper = (x.astype(np.float32) for x in (self.embodiment.lower, self.embodiment.upper))
         self.action_space = gym.spaces.Box(lower, upper, dtype=np.float32)
-        box = self.scene.workspace_world.astype(np.float32)
-        self.observation_space = gym.spaces.Dict(
-            {
-                # Physics lets a joint pass its limit a little.
-                "agent_pos": gym.spaces.Box(-np.inf, np.inf, (n,), np.float32),
-                "point_cloud": gym.spaces.Box(
-                    np.minimum(box[0], 0) * np.ones((CLOUD_POINTS, 1), np.float32),
-                    np.maximum(box[1], 0) * np.ones((CLOUD_POINTS, 1), np.float32),
-                    dtype=np.float32,
-                ),
-                "environment_state": gym.spaces.Box(-np.inf, np.inf, (len(self.state_names),), np.float32),
-            }
-        )
+        box = np.tile(self.scene.workspace_world.astype(np.float32)[:, None], (1, CLOUD_POINTS, 1))
+        spaces = {
+            # Physics lets a joint pass its limit a little.
+            "agent_pos": gym.spaces.Box(-np.inf, np.inf, (n,), np.float32),
+            # A cloud with too few points is filled up with zeros.
+            "point_cloud": gym.spaces.Box(np.minimum(box[0], 0), np.maximum(box[1], 0), dtype=np.float32),
+            "environment_state": gym.spaces.Box(-np.inf, np.inf, (len(self.state_names),), np.float32),
+        }
+        self.observation_space = gym.spaces.Dict({k: v for k, v in spaces.items() if clouds or k != "point_cloud"})
 
     # -- what a task defines ------------------------------------------------------------------------------------
 
@@ -116,12 +120,8 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         """Forget the last episode; called when the start is in place."""
 
     @abstractmethod
-    def _observe_progress(self) -> None:
-        """Look at the task after each control period."""
-
-    @abstractmethod
-    def _is_success(self) -> bool:
-        """Whether the task is done."""
+    def _is_done(self) -> bool:
+        """Whether the task is done at this moment; called once after each control period."""
 
     @abstractmethod
     def failure_reason(self) -> str:
@@ -151,7 +151,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         self._simulation.reset(qpos)
         self._apply_state(state)
         self._simulation.forward()
-        self._target, self._stalled = qpos, 0
+        self._target, self._stalled, self._held = qpos, 0, 0
         self._begin()
         return self._observation(), self._info()
 
@@ -166,7 +166,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         for _ in range(self._max_hold_ticks):
             before = self._simulation.qpos
             self._simulation.tick(self._target)
-            self._observe_progress()
+            self._held = self._held + 1 if self._is_done() else 0
             if self._is_success() or self._arrived(before):
                 break
         arm = slice(self.embodiment.n_arm)
@@ -208,7 +208,20 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
 
         return make_expert(self.task, self.embodiment, self.scene.T_world_base, seed)
 
+    def teleoperator(self, device: str):
+        """Hand control of the robot by one of robosuite's devices: "keyboard" or "spacemouse".
+
+        Raises:
+            CEIError: no such device, or something that it needs (a display, a package, the device itself) is missing.
+        """
+        from cei_envs.teleoperation import Teleoperator  # opens windows, which nothing else needs
+
+        return Teleoperator(device, self._simulation, self.embodiment)
+
     # -- inside -------------------------------------------------------------------------------------------------
+
+    def _is_success(self) -> bool:
+        return self._held >= HELD_TICKS
 
     def _sample_start(self, rng: np.random.Generator) -> np.ndarray:
         n, n_arm = len(self.embodiment.home), self.embodiment.n_arm
@@ -228,15 +241,17 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         return bool(np.all(close | slow))
 
     def _observation(self) -> dict[str, np.ndarray]:
-        images = self._camera.render(self._simulation.data)
-        self._depth_m = {name: depth for name, (depth, _) in images.items()}
-        points = fuse_depth(self.scene, self._depth_m)
-        points = points[crop(points, self.scene.workspace_world)]
-        return {
+        observation = {
             "agent_pos": self._simulation.qpos.astype(np.float32),
-            "point_cloud": farthest_point_sample(points, CLOUD_POINTS),
             "environment_state": self._read_state().astype(np.float32),
         }
+        if self._camera is not None:
+            images = self._camera.render(self._simulation.data)
+            self._depth_m = {name: depth for name, (depth, _) in images.items()}
+            points = fuse_depth(self.scene, self._depth_m)
+            points = points[crop(points, self.scene.workspace_world)]
+            observation["point_cloud"] = farthest_point_sample(points, CLOUD_POINTS)
+        return observation
 
     def _info(self) -> dict[str, Any]:
         success = self._is_success()

@@ -14,13 +14,18 @@ from cei_gym.errors import CEIError, unknown
 KINDS = ("mount", "absolute_joint_control", "no_self_contact", "geom_mass")
 
 
-def register_gripper(spec: EndEffectorSpec) -> str:
-    """Register a robosuite gripper that takes absolute joint targets, one an actuator; its name there."""
+def register_gripper(spec: EndEffectorSpec, stock_physics: bool = False) -> str:
+    """Register a robosuite gripper that takes absolute joint targets, one an actuator; its name there.
+
+    Args:
+        spec: the end-effector.
+        stock_physics: apply only the physics exceptions without which nothing works.
+    """
     if spec.simulator_name not in GRIPPER_MAPPING:
         raise unknown(f"simulator_name of {spec.name}", spec.simulator_name, GRIPPER_MAPPING)
     stock = GRIPPER_MAPPING[spec.simulator_name]
     require_absolute_control(spec.name, spec.physics)
-    exceptions = [e for e in spec.physics if e.enabled]
+    exceptions = [e for e in spec.physics if e.enabled and (e.required or not stock_physics)]
     for exception in exceptions:
         if exception.kind not in KINDS:
             raise unknown(f"physics exception of {spec.name}", exception.kind, KINDS)
@@ -43,7 +48,7 @@ def register_gripper(spec: EndEffectorSpec) -> str:
             # Only a placeholder: the environment sets the start itself.
             return np.zeros(len(self.joints))
 
-    name = f"CEI{spec.name}"
+    name = f"CEI{spec.name}{'Stock' if stock_physics else ''}"
     GRIPPER_MAPPING[name] = AbsoluteGripper
     return name
 

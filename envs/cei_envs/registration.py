@@ -2,7 +2,11 @@
 
 import gymnasium as gym
 
-TASKS = {"PickCube": ("cei_envs.tasks.pick_cube:PickCubeEnv", 400)}
+TASKS = {
+    "OpenDrawer": ("cei_envs.tasks.open_drawer:OpenDrawerEnv", 400),
+    "PickCube": ("cei_envs.tasks.pick_cube:PickCubeEnv", 400),
+    "StackCube": ("cei_envs.tasks.stack_cube:StackCubeEnv", 400),
+}
 """Task name to entry point and time limit in steps."""
 
 

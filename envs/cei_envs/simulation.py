@@ -1,11 +1,13 @@
 """A robosuite simulation of one embodiment: built, read and driven in the embodiment's own joint layout."""
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import mujoco
 import numpy as np
 from robosuite.controllers import load_composite_controller_config
+from robosuite.controllers.composite.composite_controller import CompositeController, register_composite_controller
 
 from cei_envs.gripper import register_gripper, require_absolute_control
 from cei_gym.embodiment import ArmSpec, Embodiment
@@ -14,26 +16,44 @@ from cei_gym.errors import CEIError
 CONTROL_HZ = 20
 
 
+@register_composite_controller
+class StillBaseController(CompositeController):
+    """robosuite's basic controller for a base that stands still.
+
+    The same commands in half the time: robosuite derives the limits of actions, and where the base is, anew twice in each of
+    the 25 physics steps of a control period, which takes longer than the physics.
+    """
+
+    name = "CEI_STILL_BASE"
+
+    @cached_property
+    def action_limits(self):
+        return super().action_limits
+
+    def update_state(self) -> None:
+        """Nothing to do: joint positions do not depend on the base."""
+
+
 class Simulation:
     """robosuite's physics and controllers around one embodiment.
 
     Args:
         embodiment: arm and end-effector.
         make: builds the robosuite environment from its robot arguments.
+        stock_physics: apply only the physics exceptions without which nothing works.
     """
 
-    def __init__(self, embodiment: Embodiment, make: Callable[..., Any]) -> None:
+    def __init__(self, embodiment: Embodiment, make: Callable[..., Any], stock_physics: bool = False) -> None:
         arm_spec, hand_spec = embodiment.arm, embodiment.end_effector
         if arm_spec is None or hand_spec is None:
             raise CEIError(f"{embodiment.name}: a simulation needs an arm and an end-effector.")
         self._env = make(
             robots=arm_spec.simulator_name,
-            gripper_types=register_gripper(hand_spec),
+            gripper_types=register_gripper(hand_spec, stock_physics),
             controller_configs=_controllers(arm_spec),
             initialization_noise=None,
             control_freq=CONTROL_HZ,
             use_camera_obs=False,
-            use_object_obs=False,
             has_renderer=False,
             has_offscreen_renderer=False,
             hard_reset=False,
@@ -58,6 +78,9 @@ class Simulation:
         self._driven_hand = [index[self.model.actuator_trnid[a, 0]] for a in actuators]
         self.driven = np.array([*range(embodiment.n_arm), *self._driven_hand])
         self._n_arm = embodiment.n_arm
+        owner = [self.model.body(b).name for b in self.model.geom_bodyid]
+        self.robot_geoms = np.flatnonzero([name.startswith((arm, hand)) for name in owner])
+        """Geoms of arm and end-effector."""
         base = self.model.body(robot.robot_model.root_body).id
         self.T_world_base = np.eye(4)
         self.T_world_base[:3, 3] = self.data.xpos[base]
@@ -78,12 +101,16 @@ class Simulation:
     def forward(self) -> None:
         """Recompute everything that follows from the state, after a change to it."""
         mujoco.mj_forward(self.model, self.data)
-        self._env.robots[0].composite_controller.update_state()
         self._env.robots[0].composite_controller.reset()
 
     def tick(self, target: np.ndarray) -> None:
         """One control period towards absolute joint targets (n,), rad or m, through robosuite's controllers."""
         self._env.step(np.concatenate([target[: self._n_arm], target[self._driven_hand]]))
+
+    def touching(self, geoms: np.ndarray, others: np.ndarray) -> bool:
+        """Whether any of the geoms touches any of the others."""
+        one, two = self.data.contact.geom.T
+        return bool(np.any((np.isin(one, geoms) & np.isin(two, others)) | (np.isin(two, geoms) & np.isin(one, others))))
 
     def close(self) -> None:
         """Free the simulation."""
@@ -94,6 +121,7 @@ def _controllers(arm: ArmSpec) -> dict[str, Any]:
     config = load_composite_controller_config(controller="BASIC")
     assert config is not None  # it ships with robosuite
     parameters = require_absolute_control(arm.name, arm.physics).parameters
+    config["type"] = StillBaseController.name
     config["body_parts"] = {
         "right": {
             "type": "JOINT_POSITION",

@@ -2,7 +2,11 @@
 
 from cei_gym.errors import CEIError
 
-EXPERTS = {("PickCube", "Panda-PandaGripper"): "cei_envs.experts.pick_cube:PickCubeExpert"}
+EXPERTS = {
+    ("OpenDrawer", "Panda-PandaGripper"): "cei_envs.experts.open_drawer:OpenDrawerExpert",
+    ("PickCube", "Panda-PandaGripper"): "cei_envs.experts.pick_cube:PickCubeExpert",
+    ("StackCube", "Panda-PandaGripper"): "cei_envs.experts.stack_cube:StackCubeExpert",
+}
 
 
 def make_expert(task: str, embodiment, T_world_base, seed: int):

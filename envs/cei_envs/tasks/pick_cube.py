@@ -1,20 +1,17 @@
 """PickCube: lift a cube off the table and hold it."""
 
+from functools import cached_property
 from typing import Any, ClassVar
 
-import mujoco
 import numpy as np
 
 from cei_envs.environment import CEIEnv
+from cei_envs.tasks.cube import TABLE_Z_M, Cube, cube_on_table, state_names
 
-TABLE_Z_M = 0.8
-TABLE_FRICTION = (1.0, 0.005, 0.0001)
 PLACEMENT_M = 0.10
 HALF_SIZE_M = (0.020, 0.022)
-DENSITY_KG_M3 = 1000.0
 LIFTED_M = 0.05
 OFF_TABLE_M = 0.01
-HELD_TICKS = 20
 
 
 class PickCubeEnv(CEIEnv):
@@ -47,8 +44,9 @@ class PickCubeEnv(CEIEnv):
 
     ### Reward, success and end
     Reward is 1 on success, else 0. Success (`info["is_success"]`, which also terminates): the cube has been at least 5 cm
-    above its start for 20 control periods (1 s) in a row. `info["failure"]` says why not yet: never grasped, slipped, dropped,
-    unreachable (the arm kept falling short of its targets), timed out. Truncated after 400 steps.
+    above its start (robosuite's Lift asks for 2) for 20 control periods (1 s) in a row. `info["failure"]` says why not yet:
+    never grasped, slipped, dropped, unreachable (the arm kept falling short of its targets), timed out. Truncated after 400
+    steps.
 
     ### Start
     `reset(seed=...)` draws cube and joints (home plus 0.02 rad of noise); `options={"environment_state": ...,
@@ -60,19 +58,7 @@ class PickCubeEnv(CEIEnv):
 
     task: ClassVar[str] = "PickCube"
     task_text: ClassVar[str] = "Pick up the cube and hold it."
-    state_names: ClassVar[tuple[str, ...]] = (
-        "cube.x_m",
-        "cube.y_m",
-        "cube.z_m",
-        "cube.qw",
-        "cube.qx",
-        "cube.qy",
-        "cube.qz",
-        "cube.half_x_m",
-        "cube.half_y_m",
-        "cube.half_z_m",
-        "cube.mass_kg",
-    )
+    state_names: ClassVar[tuple[str, ...]] = state_names("cube")
 
     def _make_robosuite(self, **robot_arguments) -> Any:
         import robosuite
@@ -85,58 +71,34 @@ class PickCubeEnv(CEIEnv):
     def _sample_state(self, rng: np.random.Generator) -> np.ndarray:
         half = rng.uniform(*HALF_SIZE_M, 3)
         x, y = rng.uniform(-PLACEMENT_M, PLACEMENT_M, 2)
-        yaw = rng.uniform(-np.pi, np.pi)
-        quat = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
-        return np.array([x, y, TABLE_Z_M + half[2], *quat, *half, DENSITY_KG_M3 * 8 * half.prod()])
+        return cube_on_table(x, y, rng.uniform(-np.pi, np.pi), half)
 
     def _apply_state(self, state: np.ndarray) -> None:
-        model, data = self.model, self._simulation.data
-        body, half, mass = self._cube, state[7:10], state[10]
-        for geom in np.flatnonzero(model.geom_bodyid == body):
-            model.geom_size[geom] = half
-            model.geom_rbound[geom] = np.linalg.norm(half)
-            model.geom_aabb[geom] = [0, 0, 0, *half]
-        model.body_mass[body] = mass
-        model.body_inertia[body] = mass / 3 * (np.square(half).sum() - np.square(half))
-        saved = data.qpos.copy()
-        mujoco.mj_setConst(model, data)
-        data.qpos[:] = saved
-        data.qpos[self._cube_qpos] = state[:7]
+        self._cube.apply(state)
 
     def _read_state(self) -> np.ndarray:
-        geom = np.flatnonzero(self.model.geom_bodyid == self._cube)[0]
-        pose = self._simulation.data.qpos[self._cube_qpos]
-        return np.array([*pose, *self.model.geom_size[geom], self.model.body_mass[self._cube]])
+        return self._cube.read()
 
     def _begin(self) -> None:
-        self._start_z = self._height()
+        self._start_z = self._cube.position_world[2]
         self._highest = 0.0
-        self._held = 0
 
-    def _observe_progress(self) -> None:
-        lift = self._height() - self._start_z
+    def _is_done(self) -> bool:
+        lift = self._lift_m
         self._highest = max(self._highest, lift)
-        self._held = self._held + 1 if lift >= LIFTED_M else 0
-
-    def _is_success(self) -> bool:
-        return self._held >= HELD_TICKS
+        return lift >= LIFTED_M
 
     def failure_reason(self) -> str:
-        lift = self._height() - self._start_z
         if self._highest < OFF_TABLE_M:
             return "never grasped"
-        if lift < OFF_TABLE_M:
+        if self._lift_m < OFF_TABLE_M:
             return "dropped" if self._highest >= LIFTED_M else "slipped"
         return "timed out"
 
-    @property
-    def _cube(self) -> int:
-        return self.model.body("cube_main").id
+    @cached_property
+    def _cube(self) -> Cube:
+        return Cube(self.model, self._simulation.data, "cube_main")
 
     @property
-    def _cube_qpos(self) -> slice:
-        address = self.model.jnt_qposadr[self.model.body_jntadr[self._cube]]
-        return slice(address, address + 7)
-
-    def _height(self) -> float:
-        return float(self._simulation.data.xpos[self._cube, 2])
+    def _lift_m(self) -> float:
+        return self._cube.position_world[2] - self._start_z

@@ -1,0 +1,84 @@
+"""What the scripted experts share: a parallel gripper that reaches down from above, varied as people vary."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import asdict
+
+import mink
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cei_envs.experts.plan import Waypoint, grip_pose, plan
+from cei_envs.experts.variation import Variation
+from cei_gym.embodiment import Embodiment
+
+
+class Expert(ABC):
+    """A script for one task.
+
+    Args:
+        embodiment: an arm with a parallel gripper.
+        T_world_base: (4, 4) pose of its base, which stands upright.
+        seed: of the variation.
+    """
+
+    def __init__(self, embodiment: Embodiment, T_world_base: np.ndarray, seed: int) -> None:
+        self._embodiment, self._T_base_world = embodiment, np.linalg.inv(T_world_base)
+        self._rng = np.random.default_rng([seed, 1])
+        self.variation = Variation.sample(self._rng)
+
+    def describe(self) -> dict:
+        """The variation, for the dataset's metadata."""
+        return asdict(self.variation)
+
+    def plan(self, agent_pos: np.ndarray, environment_state: np.ndarray) -> np.ndarray:
+        """(T, n) joint targets from the start of an episode.
+
+        Args:
+            agent_pos: (n,) joint positions, rad or m.
+            environment_state: (k,) as the task gives it.
+        """
+        waypoints = self._waypoints(np.asarray(environment_state, float))
+        start = np.asarray(agent_pos, float)
+        return plan(self._embodiment, start, waypoints, self.variation.jitter_m, self._rng)
+
+    @abstractmethod
+    def _waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+        """The grip site's way from a state (k,) of the task's objects."""
+
+    def _waypoint(self, position_world: np.ndarray, rotation: Rotation, closed: float, frames: int) -> Waypoint:
+        """At this expert's own speed."""
+        T = self._T_base_world
+        return Waypoint(
+            T[:3, :3] @ position_world + T[:3, 3],
+            Rotation.from_matrix(T[:3, :3]) * rotation,
+            closed,
+            self.variation.frames(frames),
+        )
+
+    def _reaching_down(self, closing_yaw_rad: float) -> Rotation:
+        """Orientation of the grip site in the world: pointing down, the fingers closing along a heading; leaning as varied."""
+        v = self.variation
+        _, home = grip_pose(self._embodiment, self._embodiment.home)
+        down = upright(home)
+        x, y, _ = (down * home.inv()).apply(closing_direction_base(self._embodiment))
+        # Fingers close from both sides, so half turns are alike: take the nearer one.
+        turn = (closing_yaw_rad - np.arctan2(y, x) + np.pi / 2) % np.pi - np.pi / 2
+        return Rotation.from_euler("xyz", [*v.tilt_rad, turn + v.yaw_rad]) * down
+
+
+def upright(rotation: Rotation) -> Rotation:
+    """The nearest rotation whose z axis points straight down and whose x axis heads along a world axis."""
+    heading = np.round(np.arctan2(*rotation.as_matrix()[1::-1, 0]) / (np.pi / 2)) * np.pi / 2
+    return Rotation.from_euler("ZX", [heading, np.pi])
+
+
+def closing_direction_base(embodiment: Embodiment) -> np.ndarray:
+    """(3,) unit direction in which the first pad moves when the hand closes at home, in the base frame."""
+    closed = np.concatenate([embodiment.home[: embodiment.n_arm], embodiment.closed[embodiment.n_arm :]])
+    body = f"ee/{embodiment.end_effector.pads[0].body}"
+    there, here = (
+        mink.Configuration(embodiment.model, q).get_transform_frame_to_world(body, "body").translation()
+        for q in (closed, embodiment.home)
+    )
+    return (there - here) / np.linalg.norm(there - here)

@@ -1,0 +1,34 @@
+"""A scripted expert for OpenDrawer with a parallel gripper."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cei_envs.experts.expert import Expert
+from cei_envs.experts.plan import Waypoint
+from cei_envs.tasks.cube import TABLE_Z_M
+
+_HANDLE_CABINET_M = (-0.077, 0.0, 0.0725)
+_ABOVE_M = 0.10
+_PULL_M = 0.125
+
+
+class OpenDrawerExpert(Expert):
+    """Reach over the handle, descend until the fingers straddle it, close, pull."""
+
+    def _waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+        x, y, yaw, opening = state
+        cabinet = Rotation.from_euler("z", yaw)
+        handle = cabinet.apply(_HANDLE_CABINET_M) + [x, y, TABLE_Z_M] - cabinet.apply([opening, 0, 0])
+        # The offset along the bar is harmless, so people vary more there.
+        along = self._rng.uniform(-0.02, 0.02)
+        grasp = handle + self.variation.offset_m + cabinet.apply([0, along, 0])
+        rotation = self._reaching_down(yaw)
+        pulled = grasp - cabinet.apply([_PULL_M, 0, 0])
+        return [
+            self._waypoint(grasp + [0, 0, _ABOVE_M], rotation, 0.0, 26),
+            self._waypoint(grasp, rotation, 0.0, 14),
+            self._waypoint(grasp, rotation, 1.0, 10),
+            self._waypoint(pulled, rotation, 1.0, 30),
+        ]
