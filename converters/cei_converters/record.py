@@ -1,5 +1,8 @@
-"""`cei-record`: demonstrations of a scripted, human-like expert as a LeRobot dataset."""
+"""`cei-record`: demonstrations of a scripted, human-like expert, or of a person, as a LeRobot dataset."""
 
+import contextlib
+import signal
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,27 +17,34 @@ EXAMPLE = """example:
       --repo_id=me/pick_panda --root=data/pick_panda"""
 HOLD_STEPS = 20
 """Steps that the last target is held for a success to show."""
+BY_HAND = """An episode starts with your first motion and ends with success; time stands still until you move.
+To start it over: q, or the space mouse's right button. To finish early: Ctrl-C here, which keeps finished episodes."""
 
 
 @dataclass
 class RecordConfig:
-    """Record demonstrations of an environment's scripted expert; episode i uses seed + i."""
+    """Record demonstrations of an environment's scripted expert, or your own; episode i uses seed + i."""
 
     env: str  # Environment id, such as CEI-PickCube-Panda-PandaGripper.
     repo_id: str  # Name of the dataset, <user>/<name>.
     root: str | None = None  # Its folder, which must not exist; default: LeRobot's cache.
     episodes: int = 20  # How many demonstrations.
     seed: int = 0  # Of the first one.
+    teleop: str | None = None  # Demonstrate by hand, with keyboard or spacemouse; default: the scripted expert does.
     push_to_hub: bool = False  # Upload the dataset.
     private: bool = False  # Make the uploaded dataset private.
     json: str | None = None  # File for the result as JSON.
 
 
 def record(config: RecordConfig) -> dict[str, Any]:
-    """Record a dataset; demonstrations that fail are left out and make the command fail.
+    """Record a dataset.
+
+    Where an expert fails, the episode is left out and the command fails; a person repeats it. What a person has
+    finished is kept when Ctrl-C ends the recording.
 
     Raises:
-        CEIError: bad options, no expert, or an expert that failed.
+        CEIError: bad options, no expert, an expert that failed, or nothing to record by hand with.
+        KeyboardInterrupt: Ctrl-C before the first demonstration was finished.
     """
     from cei_converters.environment import open_environment
     from cei_converters.hub import check_login, check_repo_id, push
@@ -51,22 +61,28 @@ def record(config: RecordConfig) -> dict[str, Any]:
     if config.push_to_hub:
         check_login()
     env = open_environment(config.env)
+    seeds = range(config.seed, config.seed + config.episodes)
     results = []
-    with (
-        DatasetWriter(
-            config.repo_id, config.root, environment=Environment(config.env), provenance=collect(config)
-        ) as writer,
-        progress_bar("episodes") as progress,
-    ):
-        env.get_wrapper_attr("expert")(config.seed)  # fails here if there is none
+    with contextlib.ExitStack() as stack:
+        if config.teleop is None:
+            episodes = scripted(env, seeds)
+        else:
+            teleoperator = stack.enter_context(env.get_wrapper_attr("teleoperator")(config.teleop))
+            stack.enter_context(_on_interrupt(teleoperator.stop))
+            episodes = by_hand(env, seeds, teleoperator, config.teleop)
+        writer = stack.enter_context(
+            DatasetWriter(config.repo_id, config.root, environment=Environment(config.env), provenance=collect(config))
+        )
+        progress = stack.enter_context(progress_bar("episodes"))
         task = progress.add_task("recording", total=config.episodes)
-        for seed in range(config.seed, config.seed + config.episodes):
-            demonstration, info, variation = record_episode(env, seed, index=len(results))
+        for seed, demonstration, info, how in episodes:
             success = bool(info["is_success"])
             results.append({"seed": seed, "success": success, "failure": info["failure"], "frames": len(demonstration)})
             if success:
-                writer.add(demonstration, {"seed": seed, "success": True, "variation": variation})
+                writer.add(demonstration, {"seed": seed, "success": True, **how})
             progress.advance(task)
+        if not results:
+            raise KeyboardInterrupt
     env.close()
     failed = [r for r in results if not r["success"]]
     result = {
@@ -78,6 +94,8 @@ def record(config: RecordConfig) -> dict[str, Any]:
         "results": results,
     }
     write_json(config.json, result)
+    if len(results) < config.episodes:
+        print(f"Interrupted after {len(results)} of {config.episodes} demonstrations, which are kept.")
     print(f"Wrote {result['successes']} demonstrations of {config.env} to {writer.root}.")
     if failed:
         named = ", ".join(f"seed {r['seed']} ({r['failure']})" for r in failed)
@@ -87,23 +105,76 @@ def record(config: RecordConfig) -> dict[str, Any]:
     return result
 
 
+type Episode = tuple[int, Demonstration, dict[str, Any], dict[str, Any]]
+"""Seed, demonstration, its last `info`, and what else the metadata shall say of it."""
+
+
+def scripted(env, seeds: Iterable[int]) -> Iterator[Episode]:
+    """The expert's episodes, one a seed, whether or not they succeed."""
+    for index, seed in enumerate(seeds):
+        demonstration, info, variation = record_episode(env, seed, index)
+        yield seed, demonstration, info, {"variation": variation}
+
+
+def by_hand(env, seeds: Iterable[int], teleoperator, device: str) -> Iterator[Episode]:
+    """A person's episodes: successes only, one a seed, until the teleoperator is stopped."""
+    print(BY_HAND)
+    for index, seed in enumerate(seeds):
+        while True:
+            frames, info = roll_out(env, seed, lambda observation: teleoperator.actions(observation["agent_pos"]))
+            if info["is_success"]:
+                break
+            if teleoperator.stopped:
+                return
+            print(f"Seed {seed}: {info['failure']}; discarded. The same start again.")
+        yield seed, as_demonstration(env, frames, index), info, {"teleop": device}
+
+
 def record_episode(env, seed: int, index: int) -> tuple[Demonstration, dict[str, Any], dict[str, Any]]:
-    """One demonstration of the expert: the episode, its last `info`, and how the expert varied."""
-    inner = env.unwrapped
+    """One demonstration of the expert: the episode, its last `info`, and how the expert varied.
+
+    Raises:
+        CEIError: the environment has no expert.
+    """
+    expert = env.unwrapped.expert(seed)
+
+    def policy(observation: dict[str, np.ndarray]) -> Iterable[np.ndarray]:
+        targets = expert.plan(observation["agent_pos"], observation["environment_state"]).astype(np.float32)
+        return [*targets, *[targets[-1]] * HOLD_STEPS]
+
+    frames, info = roll_out(env, seed, policy)
+    return as_demonstration(env, frames, index), info, expert.describe()
+
+
+def roll_out(
+    env, seed: int, policy: Callable[[dict[str, np.ndarray]], Iterable[np.ndarray]]
+) -> tuple[dict[str, list], dict[str, Any]]:
+    """One episode, which ends with success, at the time limit, or with the actions.
+
+    Args:
+        policy: the first observation to actions (n,), absolute joint targets, rad or m.
+
+    Returns:
+        What was seen and done at each step, and the last `info`.
+    """
     observation, info = env.reset(seed=seed)
-    expert = inner.expert(seed)
-    targets = expert.plan(observation["agent_pos"], observation["environment_state"]).astype(np.float32)
     frames: dict[str, list] = {"qpos": [], "action": [], "cloud": [], "state": [], "depth": []}
-    for action in [*targets, *[targets[-1]] * HOLD_STEPS]:
+    for action in policy(observation):
         frames["qpos"].append(observation["agent_pos"])
         frames["action"].append(action)
         frames["cloud"].append(observation["point_cloud"])
         frames["state"].append(observation["environment_state"])
-        frames["depth"].append(inner.depth_m())
+        frames["depth"].append(env.unwrapped.depth_m())
         observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             break
-    demonstration = Demonstration(
+    return frames, info
+
+
+def as_demonstration(env, frames: dict[str, list], index: int) -> Demonstration:
+    """The frames of `roll_out` in this environment, at least one, as episode `index` of a dataset."""
+    inner = env.unwrapped
+    return Demonstration(
         embodiment=inner.embodiment.name,
         fps=env.metadata["render_fps"],
         qpos=np.array(frames["qpos"], float),
@@ -116,7 +187,20 @@ def record_episode(env, seed: int, index: int) -> tuple[Demonstration, dict[str,
         environment_state_names=inner.state_names,
         index=index,
     )
-    return demonstration, info, expert.describe()
+
+
+@contextlib.contextmanager
+def _on_interrupt(call: Callable[[], None]) -> Iterator[None]:
+    """Have Ctrl-C and SIGTERM call a function, so that they never cut the writing of an episode in two."""
+    previous = {}
+    with contextlib.suppress(ValueError):  # not in the main thread
+        for number in (signal.SIGINT, signal.SIGTERM):
+            previous[number] = signal.signal(number, lambda *_: call())
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mink
+import mujoco
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
@@ -13,7 +14,8 @@ from cei_gym.errors import CEIError
 
 _GRIP_SITE = "ee/grip_site"
 _ITERATIONS = 8
-_TOLERANCE_M = 0.004
+TOLERANCE_M = 0.004
+"""A grip site that misses its pose by more is out of reach."""
 
 
 @dataclass(frozen=True)
@@ -71,29 +73,62 @@ def plan(
     positions, rotations = np.concatenate(positions), Rotation.concatenate(rotations)
     tremor = gaussian_filter1d(rng.normal(0, 1, positions.shape), 4, axis=0)
     positions = positions + jitter_m * tremor / max(tremor.std(), 1e-9)
-    targets = _inverse_kinematics(embodiment, start, positions, rotations)
+    targets = _follow(embodiment, start, positions, rotations)
     hand = slice(embodiment.n_arm, None)
     share = np.concatenate(closed)[:, None]
     targets[:, hand] = (1 - share) * embodiment.home[hand] + share * embodiment.closed[hand]
     return targets
 
 
-def _inverse_kinematics(embodiment: Embodiment, start, positions, rotations) -> np.ndarray:
-    configuration = mink.Configuration(embodiment.model, start)
-    grip = mink.FrameTask(_GRIP_SITE, "site", position_cost=1.0, orientation_cost=0.5, lm_damping=1e-3)
-    posture = mink.PostureTask(embodiment.model, cost=1e-3)
-    posture.set_target(start)
-    qpos = []
-    for position, rotation in zip(positions, rotations, strict=True):
-        quat_wxyz = rotation.as_quat(scalar_first=True)
-        grip.set_target(mink.SE3.from_rotation_and_translation(mink.SO3(quat_wxyz), position))
-        for _ in range(_ITERATIONS):
-            velocity = mink.solve_ik(configuration, [grip, posture], 0.5, solver="daqp", damping=1e-6)
-            configuration.integrate_inplace(velocity, 0.5)
-        error = np.linalg.norm(grip.compute_error(configuration)[:3])
-        if error > _TOLERANCE_M:
+class InverseKinematics:
+    """Joint positions that bring the grip site to a pose.
+
+    Args:
+        embodiment: one with a grip site.
+        posture: (n,) joint positions to stay close to where the pose leaves a choice, rad or m.
+
+    Raises:
+        CEIError: the end-effector has no grip site.
+    """
+
+    def __init__(self, embodiment: Embodiment, posture: np.ndarray) -> None:
+        if mujoco.mj_name2id(embodiment.model, mujoco.mjtObj.mjOBJ_SITE, _GRIP_SITE) < 0:
             raise CEIError(
-                f"{embodiment.name}: the expert's waypoint {position.round(3)} m is {error * 1e3:.0f} mm out of reach."
+                f"{embodiment.name}: the end-effector's description has no site named 'grip_site', which is what moves."
             )
-        qpos.append(configuration.q.copy())
-    return np.array(qpos)
+        self._configuration = mink.Configuration(embodiment.model, posture)
+        self._grip = mink.FrameTask(_GRIP_SITE, "site", position_cost=1.0, orientation_cost=0.5, lm_damping=1e-3)
+        self._posture = mink.PostureTask(embodiment.model, cost=1e-3)
+        self._posture.set_target(posture)
+
+    def solve(self, start: np.ndarray, position: np.ndarray, rotation: Rotation) -> tuple[np.ndarray, float, float]:
+        """A few Newton steps from `start` (n,) towards a pose near the one there.
+
+        Args:
+            start: (n,) joint positions, rad or m.
+            position: (3,) m, robot's base frame.
+            rotation: orientation of the grip site in the base frame.
+
+        Returns:
+            (n,) joint positions, and by how much they miss the pose, m and rad.
+        """
+        quat_wxyz = rotation.as_quat(scalar_first=True)
+        self._grip.set_target(mink.SE3.from_rotation_and_translation(mink.SO3(quat_wxyz), position))
+        self._configuration.update(start)
+        for _ in range(_ITERATIONS):
+            velocity = mink.solve_ik(self._configuration, [self._grip, self._posture], 0.5, solver="daqp", damping=1e-6)
+            self._configuration.integrate_inplace(velocity, 0.5)
+        error = self._grip.compute_error(self._configuration)
+        return self._configuration.q.copy(), float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+
+
+def _follow(embodiment: Embodiment, start, positions, rotations) -> np.ndarray:
+    solver, qpos = InverseKinematics(embodiment, start), [start]
+    for position, rotation in zip(positions, rotations, strict=True):
+        found, miss_m, _ = solver.solve(qpos[-1], position, rotation)
+        if miss_m > TOLERANCE_M:
+            raise CEIError(
+                f"{embodiment.name}: the expert's waypoint {position.round(3)} m is {miss_m * 1e3:.0f} mm out of reach."
+            )
+        qpos.append(found)
+    return np.array(qpos[1:])
