@@ -9,7 +9,9 @@ from cei_gym.alignment import (
     AlignmentProblem,
     AlignmentReport,
     Basin,
+    ContactOptions,
     Follower,
+    Grip,
     InitialisationOptions,
     ManualAlignment,
     Motion,
@@ -23,9 +25,13 @@ from cei_gym.alignment import (
     judge_basins,
     link_shapes,
     make_report,
+    opposing_sides,
+    source_grip,
+    squeeze,
 )
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
+from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
 from cei_gym.errors import CEIError, unknown
 from cei_gym.functional import VARIANTS, FunctionalRepresentation, directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree
@@ -35,9 +41,10 @@ from cei_gym.pointcloud.synthesise import CloudSynthesiser
 METHODS = ("cei", "bms")
 _FIRST_FRAME_ITERATIONS = 200
 _FINALISTS = 8
-_TOLERATED_PENETRATION_M = 0.005
+_TOLERATED_M = 0.005  # of penetration, and of contact points that miss the source's
 _ABOVE_SUPPORT_M = 0.005
-_OBSTACLE_POINTS = 128
+_OBSTACLE_POINTS = 256  # the nearest to the hand
+_AT_REST = 0.02  # rad/s or m/s: a finger slower than this has stopped
 
 
 @dataclass(frozen=True)
@@ -50,8 +57,6 @@ class TransferOptions:
             analysis).
         points: point-normal pairs of each functional representation.
         seed: of sampling pads and robot surfaces.
-        squeeze_m: how far actions close each pad beyond the contact that was observed, at most, while the source's
-            gripper is told to close further than it can; it carries grip force over. 0 is the paper.
         unreachable_mm: mean pad distance above which a frame counts as out of the target's reach.
         tau_m: threshold of the robot mask.
         robot_points: points sampled over the target's whole surface.
@@ -62,7 +67,6 @@ class TransferOptions:
     representation: str = "standard"
     points: int = 64
     seed: int = 0
-    squeeze_m: float = 0.010
     unreachable_mm: float = 30.0
     tau_m: float = 0.005
     robot_points: int = 16384
@@ -85,7 +89,7 @@ class Transfer:
     Args:
         source: embodiment of the demonstrations.
         target: embodiment wanted.
-        options, solver, init: see each class.
+        options, solver, init, contact: see each class.
         T_world_target: (4, 4) pose of the target's base; the source's own if None.
     """
 
@@ -96,11 +100,13 @@ class Transfer:
         options: TransferOptions | None = None,
         solver: SolverOptions | None = None,
         init: InitialisationOptions | None = None,
+        contact: ContactOptions | None = None,
         T_world_target: np.ndarray | None = None,
     ) -> None:
         self.source, self.target = source, target
         self.options = o = options or TransferOptions()
         self.solver_options, self.init = solver or SolverOptions(), init or InitialisationOptions()
+        self.contact = contact or ContactOptions()
         self._T_world_target = T_world_target
         self._source_tree = KinematicTree(source)
         self.source_representation: FunctionalRepresentation = sample_representation(
@@ -110,7 +116,9 @@ class Transfer:
             sample_representation(target, o.points, o.seed, o.representation), KinematicTree(target)
         )
         self._source_shapes = link_shapes(source)
-        self._follower = Follower(self.problem, self.solver_options)
+        self._follower = Follower(self.problem, self.solver_options, self.contact)
+        self._sides = opposing_sides(self.source_representation, self._source_tree)
+        self._root = next(i for i, name in enumerate(source.body_names) if name.startswith(END_EFFECTOR_PREFIX))
         self._manual: ManualAlignment | None = None
         self._synthesise = CloudSynthesiser(source, target, o.tau_m, o.robot_points, o.cloud_points, o.seed)
         self.basins: list[Basin] = []
@@ -126,7 +134,11 @@ class Transfer:
         if self.options.method == "bms":
             self._manual = self._specify(demonstrations[0])
             return
-        motions = [self._squeezed(d, self._motion(d)) for d in demonstrations]
+        motions = []
+        for demonstration in demonstrations:
+            if demonstration.point_cloud_world is not None:  # enough here, and quicker
+                demonstration = replace(demonstration, depth_m={})
+            motions.append(self._motion(demonstration, self._scenes(demonstration)))
         starts = find_basins(
             self.problem, self.solver_options, motions[0].points_base[0], motions[0].normals_base[0], self.init
         )
@@ -160,11 +172,8 @@ class Transfer:
             track = closing = self._specified(self._manual, demonstration, motion)
             report = self._report(motion, track)
         else:
-            motion, track, report = self._follow(motion, mode)
-            closing = track
-            squeezed = self._squeezed(demonstration, motion)
-            if np.any(squeezed.points_base != motion.points_base):
-                closing = self._follower.follow(squeezed)
+            track, report = self._follow(motion, mode)
+            closing = replace(track, u=squeeze(self.problem, track.u, self._squeeze_m(demonstration, motion)))
         qpos = self.target.coupled.expand(track.u)
         # a_t = q_(t+1); the last frame holds.
         action = self.target.coupled.expand(np.concatenate([closing.u[1:], closing.u[-1:]]))
@@ -197,16 +206,17 @@ class Transfer:
         """The source's points and normals (..., N, 3) in the target's base frame, at (..., n) joint positions."""
         return self.source_representation.place(T_target_source @ self._source_tree.forward(qpos))
 
-    def _follow(self, motion: Motion, mode: int) -> tuple[Motion, Track, AlignmentReport]:
+    def _follow(self, motion: Motion, mode: int) -> tuple[Track, AlignmentReport]:
         """Follow a motion from its mode's basin, or from the best of the others where that goes wrong."""
         chosen = self._follow_from(self.basins[mode % len(self.basins)], motion)
         (started, track), basin = chosen
         report = self._report(started, track)
-        if report.unreachable_frames or basin.penetration_m > _TOLERATED_PENETRATION_M:
+        wrong = max(basin.penetration_m, basin.overlap_m, basin.contact_miss_m) > _TOLERATED_M
+        if report.unreachable_frames or wrong:
             others = [self._follow_from(other, motion) for other in self._finalists]
             (started, track), _ = min([chosen, *others], key=lambda x: x[1].cost)
             report = self._report(started, track)
-        return started, track, report
+        return track, report
 
     def _follow_from(self, basin: Basin, motion: Motion) -> tuple[tuple[Motion, Track], Basin]:
         points, normals = motion.points_base[:1], motion.normals_base[:1]
@@ -250,17 +260,29 @@ class Transfer:
         points, normals = self.place_source(demonstration.qpos, self._T_target_source(demonstration))
         surroundings = Surroundings(self._support_z_base_m(demonstration), self._obstacles(demonstration, scenes))
         home = self.target.coupled.reduce(self.target.home)
-        return Motion(points, normals, home, dt_s=1.0 / demonstration.fps, surroundings=surroundings)
+        motion = Motion(points, normals, home, dt_s=1.0 / demonstration.fps, surroundings=surroundings)
+        return replace(motion, grip=self._grip(demonstration, motion))
 
-    def _squeezed(self, demonstration: Demonstration, motion: Motion) -> Motion:
-        """The same, with each pad moved along its normal by what its command asks beyond where it is, up to squeeze_m."""
+    def _closing_m(self, demonstration: Demonstration, motion: Motion) -> np.ndarray:
+        """(T,) how far each pad is told to go beyond where it is, in the mean, m."""
         commanded = demonstration.qpos.copy()
         hand = slice(self.source.n_arm, None)
         commanded[:, hand] = demonstration.action[:, hand]
         wanted, _ = self.place_source(commanded, self._T_target_source(demonstration))
-        gap = np.einsum("tni,tni->tn", wanted - motion.points_base, motion.normals_base).mean(axis=1)
-        squeeze = np.clip(gap, 0.0, self.options.squeeze_m)[:, None, None]
-        return replace(motion, points_base=motion.points_base + squeeze * motion.normals_base)
+        return np.einsum("tni,tni->tn", wanted - motion.points_base, motion.normals_base).mean(axis=1)
+
+    def _squeeze_m(self, demonstration: Demonstration, motion: Motion) -> np.ndarray:
+        return np.clip(self._closing_m(demonstration, motion), 0.0, self.contact.squeeze_m)
+
+    def _grip(self, demonstration: Demonstration, motion: Motion) -> Grip | None:
+        if self._sides is None:
+            return None
+        T_links = self._T_target_source(demonstration) @ self._source_tree.forward(demonstration.qpos)
+        # Told to close, but at rest: something is in between.
+        hand = demonstration.qpos[:, self.source.n_arm :]
+        moving = np.abs(np.diff(hand, axis=0, prepend=hand[:1])) * demonstration.fps > _AT_REST
+        held = (self._closing_m(demonstration, motion) > self.contact.held_m) & ~moving.any(axis=1)
+        return source_grip(self.source_representation, self._sides, self._root, T_links, held)
 
     def _T_target_source(self, demonstration: Demonstration) -> np.ndarray:
         return np.linalg.inv(self._base(demonstration)) @ demonstration.scene.T_world_base
@@ -270,10 +292,11 @@ class Transfer:
         T_base_world = np.linalg.inv(self._base(demonstration))
         floor = demonstration.scene.workspace_world[0, 2] + _ABOVE_SUPPORT_M
         obstacles = []
-        for scene in scenes:
-            objects = scene[scene[:, 2] > floor]
-            objects = objects[:: 1 + len(objects) // _OBSTACLE_POINTS]
-            obstacles.append(objects @ T_base_world[:3, :3].T + T_base_world[:3, 3])
+        for scene, qpos in zip(scenes, demonstration.qpos, strict=bool(scenes)):
+            objects = scene[scene[:, 2] > floor] @ T_base_world[:3, :3].T + T_base_world[:3, 3]
+            pads, _ = self.place_source(qpos, self._T_target_source(demonstration))
+            nearest = np.argsort(np.linalg.norm(objects - pads.mean(axis=0), axis=1))[:_OBSTACLE_POINTS]
+            obstacles.append(objects[nearest])
         return obstacles
 
     def _scenes(self, demonstration: Demonstration) -> list[np.ndarray]:

@@ -3,12 +3,14 @@
 from cei_gym.alignment.basins import Basin, choose_modes, judge, judge_basins
 from cei_gym.alignment.clearance import Clearance
 from cei_gym.alignment.follow import Follower
+from cei_gym.alignment.grip import Grip, opposing_sides, source_grip
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.manual import ManualAlignment
 from cei_gym.alignment.problem import (
     BACKENDS,
     AlignmentProblem,
     ClearanceOptions,
+    ContactOptions,
     Motion,
     PaperOptions,
     Solver,
@@ -18,6 +20,7 @@ from cei_gym.alignment.problem import (
 )
 from cei_gym.alignment.report import AlignmentReport, make_report
 from cei_gym.alignment.solvers import make_solver
+from cei_gym.alignment.squeeze import squeeze
 from cei_gym.alignment.starts import InitialisationOptions, find_basins
 from cei_gym.alignment.stream import Stream
 
@@ -28,7 +31,9 @@ __all__ = [
     "Basin",
     "Clearance",
     "ClearanceOptions",
+    "ContactOptions",
     "Follower",
+    "Grip",
     "InitialisationOptions",
     "ManualAlignment",
     "Motion",
@@ -45,4 +50,7 @@ __all__ = [
     "link_shapes",
     "make_report",
     "make_solver",
+    "opposing_sides",
+    "source_grip",
+    "squeeze",
 ]

@@ -16,6 +16,8 @@ from cei_gym.alignment.problem import Motion, Track
 from cei_gym.errors import CEIError
 
 _PENETRATION_WEIGHT = 1.0  # metres of objective a metre of penetration
+_OVERLAP_WEIGHT = 0.5  # metres of objective a metre that a link is in an object
+_MISS_WEIGHT = 1.0  # metres of objective a metre between contact points and the source's
 _TORQUE_WEIGHT = 0.05  # metres of objective for static torque a full limit above the allowed share
 _TORQUE_SHARE = 0.8
 _LAG_WEIGHT = 0.05  # metres of objective if some joint moves as fast as it can in all frames
@@ -35,6 +37,8 @@ class Basin:
         cost: metres; mean objective plus penalties (lower is better).
         objective: metres; mean DCD over the demonstrations.
         penetration_m: deepest contact of the target with itself, the support surface or its stand.
+        overlap_m: deepest a link is in an object that the cloud shows, but for pads in what is gripped.
+        contact_miss_m: how far contact points are from the source's while it holds something, in the mean.
         torque_share: largest static joint torque as a share of its limit.
         lag_share: share of frames in which a joint moves as fast as it can.
         limit_share: share of frames in which an arm joint is near one of its limits.
@@ -46,6 +50,8 @@ class Basin:
     cost: float
     objective: float
     penetration_m: float
+    overlap_m: float
+    contact_miss_m: float
     torque_share: float
     lag_share: float
     limit_share: float
@@ -101,7 +107,8 @@ def judge(follower: Follower, motions: Sequence[Motion], u0: np.ndarray, tracks:
     arm = embodiment.coupled.independent < embodiment.n_arm
     u = np.concatenate([t.u for t in tracks])
     near = np.minimum(u - lower, upper - u) < _NEAR_LIMIT_RAD
-    step, lag, penetration, torque = 0.0, 0, 0.0, 0.0
+    step, lag, penetration, overlap, torque = 0.0, 0, 0.0, 0.0, 0.0
+    missed = []
     for motion, track in zip(motions, tracks, strict=True):
         moved = np.abs(np.diff(track.u, axis=0))
         step = max(step, float(moved.max(initial=0.0)))
@@ -111,9 +118,15 @@ def judge(follower: Follower, motions: Sequence[Motion], u0: np.ndarray, tracks:
         qpos = embodiment.coupled.expand(track.u[:: max(1, len(track.u) // _CHECKED_FRAMES)])
         support_z = motion.surroundings.support_z_base_m if motion.surroundings else -np.inf
         deepest, hardest = follower.clearance.worst(qpos, support_z)
+        overlap = max(overlap, float(follower.overlap_m(motion, track.u).max()))
+        if track.contact_miss_m is not None and motion.grip is not None:
+            held = motion.grip.held if motion.grip.held.any() else np.ones(len(track.u), bool)
+            missed.append(track.contact_miss_m[held].mean())
         penetration, torque = max(penetration, deepest), max(torque, hardest)
     objective = float(np.mean(np.concatenate([t.objective for t in tracks])))
     lag_share, limit_share = lag / len(u), float(near[:, arm].any(axis=1).mean())
     cost = objective + _PENETRATION_WEIGHT * penetration + _TORQUE_WEIGHT * max(0.0, torque - _TORQUE_SHARE)
+    miss = float(np.mean(missed)) if missed else 0.0
+    cost += _OVERLAP_WEIGHT * overlap + _MISS_WEIGHT * miss
     cost += _LAG_WEIGHT * lag_share + _MARGIN_WEIGHT * limit_share
-    return Basin(u0, cost, objective, penetration, torque, lag_share, limit_share, step, tracks[0].u[-1])
+    return Basin(u0, cost, objective, penetration, overlap, miss, torque, lag_share, limit_share, step, tracks[0].u[-1])

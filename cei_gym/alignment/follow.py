@@ -1,26 +1,33 @@
-"""Follow motions, with clearance terms only where a trajectory comes too near: they stay off the hot path."""
+"""Follow motions: freely, with clearance terms where a trajectory comes too near, then with contact carried over."""
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from cei_gym.alignment.clearance import Clearance
+from cei_gym.alignment.grasp import GraspRefiner
 from cei_gym.alignment.kernels.keep_out import shortfall
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import keep_out_links, pack_obstacles
-from cei_gym.alignment.problem import AlignmentProblem, Motion, Solver, SolverOptions, Track
+from cei_gym.alignment.problem import AlignmentProblem, ContactOptions, Motion, Solver, SolverOptions, Track
 from cei_gym.alignment.solvers import make_solver
 
 _TOLERATED_M = 1e-3
 
 
 class Follower:
-    """A solver that follows each motion freely first, and again with clearance terms if it came too near anything."""
+    """A solver that follows each motion freely first, again with clearance terms if it came too near anything, and then
+    refines its grasps (terms that are not needed stay off the hot path)."""
 
-    def __init__(self, problem: AlignmentProblem, options: SolverOptions) -> None:
+    def __init__(
+        self, problem: AlignmentProblem, options: SolverOptions, contact: ContactOptions | None = None
+    ) -> None:
         self.problem, self.options = problem, options
+        self._grasp = GraspRefiner(problem, options, contact or ContactOptions())
         self.solver: Solver = make_solver(problem, options)
 
     @cached_property
@@ -44,7 +51,12 @@ class Follower:
         again = self.solver.track_all([motions[i] for i in near])
         for i, track in zip(near, again, strict=True):
             tracks[i] = track
-        return tracks
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            return list(pool.map(self._grasp.refine, motions, tracks))
+
+    def overlap_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
+        """See `GraspRefiner.overlap_m`."""
+        return self._grasp.overlap_m(motion, u)
 
     def shortfall_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
         """(T,) how much clearance the worst link lacks at each of (T, m) configurations, m; 0 where none does."""

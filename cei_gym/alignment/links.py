@@ -49,7 +49,7 @@ def link_shapes(embodiment: Embodiment) -> LinkShapes:
         mesh = link_mesh(embodiment.model, collision_geoms(embodiment.model, int(body)))
         if mesh is not None:
             bodies.append(int(body))
-            vertices.append(_outermost(np.asarray(mesh.vertices)))
+            vertices.append(outermost(np.asarray(mesh.vertices)))
     return LinkShapes(np.array(bodies, int), hand[bodies], vertices)
 
 
@@ -106,7 +106,7 @@ def pack_obstacles(surroundings: Surroundings | None, frames: int) -> tuple[np.n
     return np.concatenate([np.zeros((0, 3)), *points]), start
 
 
-def _outermost(vertices: np.ndarray) -> np.ndarray:
+def outermost(vertices: np.ndarray) -> np.ndarray:
     """The vertices (V, 3) that lie farthest out in evenly spread directions: enough to tell which touches a plane."""
     return vertices[np.unique((vertices @ _spread_directions(_OUTERMOST).T).argmax(axis=0))]
 

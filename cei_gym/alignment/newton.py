@@ -121,7 +121,10 @@ class NewtonSolver:
     def track_all(self, motions: Sequence[Motion]) -> list[Track]:
         """See `Solver.track_all`."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return list(pool.map(lambda m: self.track(**vars(m)), motions))
+            return list(pool.map(self._track_motion, motions))
+
+    def _track_motion(self, m: Motion) -> Track:
+        return self.track(m.points_base, m.normals_base, m.u0, m.iterations, m.dt_s, m.surroundings)
 
     def advance(self, points_base, normals_base, last, before, dt_s: float | None = None) -> np.ndarray:
         """One more frame, (N, 3) each, after the last two solutions (m,); the new one."""

@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from cei_gym.alignment.grip import Grip
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.errors import CEIError, unknown
 from cei_gym.functional.distance import DEFAULT_DIRECTION_WEIGHT_M
@@ -83,6 +84,37 @@ class SolverOptions:
 
 
 @dataclass(frozen=True)
+class ContactOptions:
+    """How contact is carried over: a trajectory that only resembles the source's pads may drop what the source held.
+
+    Attributes:
+        opposition_weight: k of (k/2) r^2 for contact points r metres from the source's, 1/m: pads of one side in the mean
+            across the closing direction, each by itself along it. 0 leaves trajectories as they were followed.
+        turning_weight: k of (k/2) a^2 for a palm turned by a rad against the source's end-effector since it took hold, m.
+            Pads look alike when they turn about the closing direction, but what they hold turns with them.
+        carrying_weight: the same while something is held; fingers then stay as they are.
+        posture_weight: k of (k/2) |u - u'|^2 for joints u and those of the frame before, m/rad^2.
+        squeeze_m: how far actions close each pad beyond the contact that was observed, at most, while the source's
+            gripper is told to close further than it can; it carries grip force over. 0 is the paper.
+        held_m: how far a gripper is told to close beyond where it rests, for it to hold something.
+        grip_radius_m: what is this near to the line between the source's contacts may be touched by pads.
+    """
+
+    opposition_weight: float = 1e3
+    turning_weight: float = 0.5
+    carrying_weight: float = 5.0
+    posture_weight: float = 0.5
+    squeeze_m: float = 0.010
+    held_m: float = 0.002
+    grip_radius_m: float = 0.03
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 <= value < np.inf:
+                raise CEIError(f"contact.{name}={value} must be at least 0.")
+
+
+@dataclass(frozen=True)
 class Surroundings:
     """What stands around the target, in its base frame.
 
@@ -97,7 +129,7 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Motion:
-    """A trajectory to follow; see `Solver.track` for each attribute."""
+    """A trajectory to follow; see `Solver.track` for each attribute. `grip`: what the source's end-effector does."""
 
     points_base: np.ndarray
     normals_base: np.ndarray
@@ -105,6 +137,7 @@ class Motion:
     iterations: int | None = None
     dt_s: float | None = None
     surroundings: Surroundings | None = None
+    grip: Grip | None = None
 
 
 @dataclass(frozen=True)
@@ -115,11 +148,13 @@ class Track:
         u: (T, m) independent joints, rad or m, within limits.
         objective: (T,) DCD of each frame, metres.
         iterations: (T,) iterations (Newton) or steps (Adam) spent.
+        contact_miss_m: (T,) how far contact points are from the source's, m; None where contact was not carried over.
     """
 
     u: np.ndarray
     objective: np.ndarray
     iterations: np.ndarray
+    contact_miss_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

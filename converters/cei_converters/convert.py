@@ -10,7 +10,7 @@ import numpy as np
 from cei_converters.cli import DatasetConfig, run
 from cei_converters.options import parse_episodes, parse_pose
 from cei_converters.quality import check_reached, print_table
-from cei_gym.alignment import InitialisationOptions, SolverOptions
+from cei_gym.alignment import ContactOptions, InitialisationOptions, SolverOptions
 from cei_gym.errors import CEIError, unknown
 from cei_gym.transfer import TransferOptions
 
@@ -47,6 +47,7 @@ class ConvertConfig:
     json: str | None = None  # File for the result as JSON.
     init: InitialisationOptions = field(default_factory=InitialisationOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
+    contact: ContactOptions = field(default_factory=ContactOptions)
     transfer: TransferOptions = field(default_factory=TransferOptions)
 
 
@@ -80,7 +81,13 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             writer = stack.enter_context(_writer(config, reader, fingerprint(reader.root)))
         pose = parse_pose("--target_pose", config.target_pose)
         transfer = Transfer(
-            reader.embodiment, load_embodiment(config.target), config.transfer, config.solver, config.init, pose
+            reader.embodiment,
+            load_embodiment(config.target),
+            config.transfer,
+            config.solver,
+            config.init,
+            config.contact,
+            pose,
         )
         entries, residuals = _transfer_episodes(config, reader, selected, transfer, writer)
         if writer is not None:
@@ -155,6 +162,7 @@ def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: 
         "allow_unreachable": config.allow_unreachable,
         "init": config.init,
         "solver": config.solver,
+        "contact": config.contact,
         "transfer": config.transfer,
     }
     return DatasetWriter(
@@ -204,7 +212,7 @@ def _transfer_episodes(
     with progress_bar("frames") as progress:
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
         spread = sorted({round(i) for i in np.linspace(0, len(selected) - 1, FIT_EPISODES)})
-        transfer.fit([reader.read(selected[i], clouds=False) for i in spread])
+        transfer.fit([reader.read(selected[i]) for i in spread])
         for i, index in enumerate(selected):
             progress.update(task, description=f"episode {index}")
             mode = i % config.init.modes  # motions take turns, so that a dataset is an even mixture

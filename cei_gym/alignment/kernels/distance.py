@@ -170,3 +170,14 @@ def matched(target, points, normals, u, lambda_m):
             distance[t] += np.sqrt(squared) / matches
             angle[t] += np.arccos(min(1.0, max(-1.0, cosine))) / matches
     return distance, angle
+
+
+@njit(cache=True, nogil=True)
+def distances(target, points, normals, lambda_m, u):
+    """DCD (T,) of (T, m) configurations, each against its own frame of the source, m."""
+    out = np.empty(len(u))
+    source, pose = empty_source(points.shape[1]), empty_pose(target, points.shape[1])
+    for t in range(len(u)):
+        load_source(points[t], normals[t], source)
+        out[t] = evaluate(target, source, lambda_m, u[t], pose)
+    return out

@@ -27,7 +27,7 @@ class KeepOut(NamedTuple):
         vertices: (V, 3) outermost vertices in their joint's frame.
         directions: (D, 3) unit directions in the joint's frame.
         reach: (K, D) farthest that a link extends along each.
-        idle: (K,) links that keep out of objects too.
+        idle: (K,) links that keep out of objects too (idle fingers; while refining a grasp, also others).
     """
 
     weight: float
@@ -60,7 +60,7 @@ def penalise(keep_out, obstacles, origin, pose, quadratic, derivatives):
                 _about(point, origin)
                 add_contact(k, point, normal, lacking, keep_out.weight, quadratic)
         if keep_out.idle[link]:
-            lacking = keep_out.margin_m[link] - _nearest(keep_out, link, obstacles, pose, k, point, normal)
+            lacking = keep_out.margin_m[link] - nearest(keep_out, link, obstacles, pose, k, point, normal)
             if lacking > 0.0:
                 total += 0.5 * keep_out.weight * lacking * lacking
                 if derivatives:
@@ -92,7 +92,7 @@ def _lowest(keep_out, link, pose, k, point):
 
 
 @njit(cache=True, nogil=True)
-def _nearest(keep_out, link, obstacles, pose, k, point, normal):
+def nearest(keep_out, link, obstacles, pose, k, point, normal):
     """Distance of the nearest obstacle (negative inside); its point, and the way out for the link."""
     R, t = pose.rot[k], pose.pos[k]
     least, which, side = np.inf, 0, 0
@@ -132,5 +132,5 @@ def shortfall(target, keep_out, obstacles, obstacle_start, u):
             k, margin = keep_out.joint[link], keep_out.margin_m[link]
             worst[t] = max(worst[t], keep_out.height_m + margin - _lowest(keep_out, link, pose, k, point))
             if keep_out.idle[link]:
-                worst[t] = max(worst[t], margin - _nearest(keep_out, link, around, pose, k, point, normal))
+                worst[t] = max(worst[t], margin - nearest(keep_out, link, around, pose, k, point, normal))
     return worst

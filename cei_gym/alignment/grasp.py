@@ -1,0 +1,137 @@
+"""Refine a followed trajectory so that contact is carried over, not only the pads' places.
+
+The DCD hardly changes when a hand turns about its closing direction, or when one finger of two misses the object. What is
+held does: it turns with the hand, and falls. So contact points are made to oppose each other where the source's do, the palm
+keeps its turn against the source's end-effector, and while something is held, hand and object move as one.
+"""
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from cei_gym.alignment.grip import Grip, in_grip, opposing_sides
+from cei_gym.alignment.kernels import grasp as kernels
+from cei_gym.alignment.kernels.distance import distances
+from cei_gym.alignment.kernels.target import make_target
+from cei_gym.alignment.links import keep_nothing_out, keep_out_links, outermost, pack_obstacles
+from cei_gym.alignment.problem import AlignmentProblem, ContactOptions, Motion, SolverOptions, Surroundings, Track
+from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
+from cei_gym.functional.representation import pad_mesh
+from cei_gym.kinematics.joints import reduce_to_joints
+
+_ITERATIONS = 20
+_TOLERANCE_M = 1e-6
+
+
+class GraspRefiner:
+    """Refines trajectories of one target.
+
+    Args:
+        problem: the target.
+        options: of the solver that followed them (speeds, clearance, lambda).
+        contact: weights.
+    """
+
+    def __init__(self, problem: AlignmentProblem, options: SolverOptions, contact: ContactOptions) -> None:
+        self._problem, self._options, self._contact = problem, options, contact
+        self._sides = opposing_sides(problem.representation, problem.tree)
+
+    def refine(self, motion: Motion, track: Track) -> Track:
+        """A track with contact carried over; as it is where there is nothing to carry (no grip, one-sided hands)."""
+        if not self._applies(motion):
+            return track
+        grip = motion.grip
+        reference = int(np.argmax(grip.held)) if grip.held.any() else -1
+        target, grasp, away, pads = self._arrays
+        if self._turned_around(grip, track, max(reference, 0)):
+            grasp = grasp._replace(side=1 - grasp.side)
+        support, around, elsewhere = self._surroundings(motion, len(track.u))
+        u, miss = kernels.refine(
+            target,
+            grasp,
+            away._replace(height_m=support),
+            pads,
+            *around,
+            *elsewhere,
+            kernels.Grip(grip.axis, grip.contacts, grip.position, grip.rotation, grip.held, reference),
+            (motion.dt_s or 0.0) * self._options.velocity_scale,
+            np.ascontiguousarray(track.u, float),
+        )
+        return replace(track, u=u, objective=self._objective(motion, u), contact_miss_m=miss)
+
+    def overlap_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
+        """(T,) how deep links are in objects at (T, m) configurations, m; pads in what is gripped do not count."""
+        if not self._applies(motion):
+            return np.zeros(len(u))
+        target, _, away, pads = self._arrays
+        _, around, elsewhere = self._surroundings(motion, len(u))
+        return kernels.overlaps(target, away, pads, *around, *elsewhere, np.ascontiguousarray(u, float))
+
+    def _applies(self, motion: Motion) -> bool:
+        return motion.grip is not None and self._sides is not None and self._contact.opposition_weight > 0
+
+    @cached_property
+    def _arrays(self):
+        """The target with all its joints, its pads, and its links: those that keep clear of all points, and pads."""
+        problem, c = self._problem, self._contact
+        embodiment = problem.embodiment
+        target = make_target(problem.representation, problem.tree, all_joints=True)
+        _, attachment = reduce_to_joints(problem.tree.arrays)
+        spec = embodiment.end_effector
+        bodies = [embodiment.body_id(pad.body) for pad in spec.pads]
+        vertices = [
+            outermost(np.asarray(pad_mesh(embodiment, pad).vertices)) @ attachment.rot[b].T + attachment.pos[b]
+            for b, pad in zip(bodies, spec.pads, strict=True)
+        ]
+        side = np.array([self._sides[problem.representation.body == b][0] for b in bodies])
+        root = next(i for i, name in enumerate(embodiment.body_names) if name.startswith(END_EFFECTOR_PREFIX))
+        grasp = kernels.Grasp(
+            joint=attachment.joint[bodies],
+            side=side,
+            share=1.0 / np.where(side == 0, (side == 0).sum(), (side == 1).sum()),
+            start=np.concatenate([[0], np.cumsum([len(v) for v in vertices])]).astype(np.int64),
+            vertices=np.concatenate(vertices),
+            palm=int(attachment.joint[root]),
+            hand=np.flatnonzero(embodiment.coupled.independent >= embodiment.n_arm),
+            opposition=float(c.opposition_weight),
+            turning=float(c.turning_weight),
+            carrying=float(c.carrying_weight),
+            posture=float(c.posture_weight),
+            iterations=_ITERATIONS,
+            tolerance=_TOLERANCE_M,
+        )
+        if self._options.clearance.weight <= 0:
+            return target, grasp, keep_nothing_out(), keep_nothing_out()
+        links = keep_out_links(problem, self._options.clearance)
+        touches = np.isin(links.joint, grasp.joint)
+        away = links._replace(idle=~touches)
+        return target, grasp, away, links._replace(idle=touches, height_m=-np.inf)
+
+    def _turned_around(self, grip: Grip, track: Track, frame: int) -> bool:
+        """Whether the target's side 0 does what the source's side 1 does."""
+        _, normals = self._problem.place(track.u[frame])
+        mean = [normals[self._sides == side].mean(axis=0) for side in (0, 1)]
+        return bool((mean[0] - mean[1]) @ grip.axis[frame] < 0)
+
+    def _surroundings(self, motion: Motion, frames: int):
+        """The support's height, and packed for all frames: points on objects, and those not in the source's grip."""
+        around = motion.surroundings
+        if around is None:
+            around = Surroundings(-np.inf)
+        points = around.obstacles_base
+        contacts = motion.grip.contacts
+        outside = [
+            p[~in_grip(p, c, self._contact.grip_radius_m)] for p, c in zip(points, contacts, strict=len(points) > 0)
+        ]
+        elsewhere = pack_obstacles(Surroundings(around.support_z_base_m, outside), frames)
+        return float(around.support_z_base_m), pack_obstacles(around, frames), elsewhere
+
+    def _objective(self, motion: Motion, u: np.ndarray) -> np.ndarray:
+        return distances(
+            make_target(self._problem.representation, self._problem.tree),
+            np.ascontiguousarray(motion.points_base, float),
+            np.ascontiguousarray(motion.normals_base, float),
+            float(self._options.lambda_m),
+            np.ascontiguousarray(u, float),
+        )

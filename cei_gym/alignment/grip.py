@@ -1,0 +1,91 @@
+"""What an end-effector does to objects: the sides that close on each other, where they meet, when it holds."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cei_gym.functional.representation import FunctionalRepresentation
+from cei_gym.kinematics.tree import KinematicTree
+
+_LEAST_OPPOSITION = 0.7  # rad between the mean normals of two sides that close on each other
+_FACE_M = 1e-3  # points of a pad that lie this deep still touch what the farthest touches
+
+
+@dataclass(frozen=True)
+class Grip:
+    """An end-effector over T frames.
+
+    Attributes:
+        axis: (T, 3) unit direction in which side 0 presses; side 1 presses against it.
+        contacts: (T, 2, 3) where each side meets what is between them, m.
+        position, rotation: (T, 3), (T, 3, 3) of the end-effector's root: a held object moves with it.
+        held: (T,) whether something is held.
+    """
+
+    axis: np.ndarray
+    contacts: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    held: np.ndarray
+
+
+def opposing_sides(representation: FunctionalRepresentation, tree: KinematicTree) -> np.ndarray | None:
+    """(N,) side, 0 or 1, of each pair: pads whose normals face each other when the hand is closed.
+
+    Returns:
+        None where no two pads close on each other.
+    """
+    embodiment = representation.embodiment
+    closed = np.concatenate([embodiment.home[: embodiment.n_arm], embodiment.closed[embodiment.n_arm :]])
+    _, normals = representation.place(tree.forward(closed))
+    bodies, pad = np.unique(representation.body, return_inverse=True)
+    mean = np.array([normals[pad == i].mean(axis=0) for i in range(len(bodies))])
+    mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+    spread = mean - mean.mean(axis=0)
+    along = spread @ np.linalg.svd(spread, full_matrices=False)[2][0]
+    side = (along > 0) != (along[0] > 0)
+    if side.all() or not side.any():
+        return None
+    one, two = mean[~side].mean(axis=0), mean[side].mean(axis=0)
+    cosine = one @ two / (np.linalg.norm(one) * np.linalg.norm(two))
+    return side[pad].astype(np.int64) if cosine < np.cos(_LEAST_OPPOSITION) else None
+
+
+def source_grip(
+    representation: FunctionalRepresentation,
+    sides: np.ndarray,
+    root: int,
+    T_base_links: np.ndarray,
+    held: np.ndarray,
+) -> Grip:
+    """What a source does.
+
+    Args:
+        representation: its own.
+        sides: (N,) of its pairs.
+        root: link of its end-effector that carries all others.
+        T_base_links: (T, L, 4, 4) its links, in the target's base frame.
+        held: (T,) whether it holds something.
+    """
+    points, normals = representation.place(T_base_links)
+    axis = normals[:, sides == 0].mean(axis=1) - normals[:, sides == 1].mean(axis=1)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    contacts = np.empty((len(points), 2, 3))
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        own = points[:, sides == side]
+        depth = sign * np.einsum("tni,ti->tn", own, axis)
+        weight = np.exp((depth - depth.max(axis=1, keepdims=True)) / _FACE_M)
+        contacts[:, side] = np.einsum("tn,tni->ti", weight, own) / weight.sum(axis=1, keepdims=True)
+    T_base_root = T_base_links[:, root]
+    return Grip(axis, contacts, T_base_root[:, :3, 3], T_base_root[:, :3, :3], held)
+
+
+def in_grip(points: np.ndarray, contacts: np.ndarray, radius_m: float) -> np.ndarray:
+    """(P,) which of the points (P, 3) lie between two contacts (2, 3), within a radius of the line through them."""
+    line = contacts[1] - contacts[0]
+    length = np.linalg.norm(line)
+    if length < 1e-6:
+        return np.linalg.norm(points - contacts[0], axis=1) < radius_m
+    along = (points - contacts[0]) @ (line / length)
+    across = np.linalg.norm(points - contacts[0] - along[:, None] * (line / length), axis=1)
+    return (across < radius_m) & (along > -radius_m) & (along < length + radius_m)

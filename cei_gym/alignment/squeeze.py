@@ -1,0 +1,45 @@
+"""Grip force: how far a hand closes beyond the contact that was observed."""
+
+import numpy as np
+
+from cei_gym.alignment.problem import AlignmentProblem
+
+_RIDGE = 1e-5  # m^2/rad^2: the least motion of joints among those that close the pads alike
+
+
+def squeeze(problem: AlignmentProblem, u: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+    """Joints that close each pad along its normal, the arm at rest.
+
+    Pads close in proportion to their share (their YAML's `share`), `depth_m` in the mean: a thumb against two fingers goes
+    farther than each of them, so that it pushes as hard as both and the object stays where it is.
+
+    Args:
+        problem: the target.
+        u: (T, m) independent joints, rad or m.
+        depth_m: (T,) how far.
+
+    Returns:
+        (T, m) independent joints, within limits.
+    """
+    embodiment, representation = problem.embodiment, problem.representation
+    hand = np.flatnonzero(embodiment.coupled.independent >= embodiment.n_arm)
+    closing = np.flatnonzero(depth_m > 0)
+    if not len(closing) or not len(hand):
+        return u
+    qpos = embodiment.coupled.expand(u[closing])
+    _, normals = representation.place(problem.tree.forward(qpos))
+    pads = embodiment.end_effector.pads
+    share = np.array([pad.share for pad in pads])
+    hessian, gradient = _RIDGE * np.eye(len(hand)), 0.0
+    for pad, weight in zip(pads, share / share.mean(), strict=True):
+        own = representation.body == embodiment.body_id(pad.body)
+        normal = normals[:, own].mean(axis=1)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        centre = representation.points_link[own].mean(axis=0)
+        J = problem.tree.jacobian(qpos, embodiment.body_id(pad.body), centre)[:, :3] @ embodiment.coupled.A[:, hand]
+        hessian = hessian + J.transpose(0, 2, 1) @ J
+        gradient = gradient + np.einsum("tim,ti->tm", J, normal) * (weight * depth_m[closing])[:, None]
+    lower, upper = embodiment.independent_limits
+    out = u.copy()
+    out[np.ix_(closing, hand)] += np.linalg.solve(hessian, np.asarray(gradient)[..., None])[..., 0]
+    return np.clip(out, lower, upper)
