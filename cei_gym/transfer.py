@@ -36,6 +36,7 @@ from cei_gym.errors import CEIError, unknown
 from cei_gym.functional import VARIANTS, FunctionalRepresentation, directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import fuse_depth
+from cei_gym.pointcloud.remember import remember
 from cei_gym.pointcloud.synthesise import CloudSynthesiser
 
 METHODS = ("cei", "bms")
@@ -43,7 +44,8 @@ _FIRST_FRAME_ITERATIONS = 200
 _FINALISTS = 8
 _TOLERATED_M = 0.005  # of penetration, and of contact points that miss the source's
 _ABOVE_SUPPORT_M = 0.005
-_OBSTACLE_POINTS = 256  # the nearest to the hand
+_NEAR_HAND_M = 0.2  # what is farther from the source's pads is no obstacle
+_CARRIED_M = 0.005
 _AT_REST = 0.02  # rad/s or m/s: a finger slower than this has stopped
 
 
@@ -258,10 +260,12 @@ class Transfer:
     def _motion(self, demonstration: Demonstration, scenes: Sequence[np.ndarray] = ()) -> Motion:
         """What the source's pads do, in the target's base frame; it starts from the target's home."""
         points, normals = self.place_source(demonstration.qpos, self._T_target_source(demonstration))
-        surroundings = Surroundings(self._support_z_base_m(demonstration), self._obstacles(demonstration, scenes))
         home = self.target.coupled.reduce(self.target.home)
-        motion = Motion(points, normals, home, dt_s=1.0 / demonstration.fps, surroundings=surroundings)
-        return replace(motion, grip=self._grip(demonstration, motion))
+        motion = Motion(points, normals, home, dt_s=1.0 / demonstration.fps)
+        grip = self._grip(demonstration, motion)
+        obstacles = self._obstacles(demonstration, scenes, points.mean(axis=1), grip) if len(scenes) else ()
+        surroundings = Surroundings(self._support_z_base_m(demonstration), obstacles)
+        return replace(motion, grip=grip, surroundings=surroundings)
 
     def _closing_m(self, demonstration: Demonstration, motion: Motion) -> np.ndarray:
         """(T,) how far each pad is told to go beyond where it is, in the mean, m."""
@@ -287,17 +291,15 @@ class Transfer:
     def _T_target_source(self, demonstration: Demonstration) -> np.ndarray:
         return np.linalg.inv(self._base(demonstration)) @ demonstration.scene.T_world_base
 
-    def _obstacles(self, demonstration: Demonstration, scenes: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """For each frame some points on objects, target's base frame: whatever stands on the support surface."""
+    def _obstacles(
+        self, demonstration: Demonstration, scenes: Sequence[np.ndarray], hand_base: np.ndarray, grip: Grip | None
+    ) -> list[np.ndarray]:
+        """For each frame points on what stands on the support surface near the hand, target's base frame."""
         T_base_world = np.linalg.inv(self._base(demonstration))
         floor = demonstration.scene.workspace_world[0, 2] + _ABOVE_SUPPORT_M
-        obstacles = []
-        for scene, qpos in zip(scenes, demonstration.qpos, strict=bool(scenes)):
-            objects = scene[scene[:, 2] > floor] @ T_base_world[:3, :3].T + T_base_world[:3, 3]
-            pads, _ = self.place_source(qpos, self._T_target_source(demonstration))
-            nearest = np.argsort(np.linalg.norm(objects - pads.mean(axis=0), axis=1))[:_OBSTACLE_POINTS]
-            obstacles.append(objects[nearest])
-        return obstacles
+        objects = [s[s[:, 2] > floor] @ T_base_world[:3, :3].T + T_base_world[:3, 3] for s in scenes]
+        moved = np.zeros(len(scenes), bool) if grip is None else grip.carried_m > _CARRIED_M
+        return remember(objects, hand_base, moved, _NEAR_HAND_M)
 
     def _scenes(self, demonstration: Demonstration) -> list[np.ndarray]:
         """For each frame the recorded points (M, 3) without the source robot, world; empty where nothing was recorded."""

@@ -28,6 +28,16 @@ class Grip:
     rotation: np.ndarray
     held: np.ndarray
 
+    @property
+    def carried_m(self) -> np.ndarray:
+        """(T,) how far the end-effector has moved since it took hold, m; 0 where it holds nothing."""
+        carried, since = np.zeros(len(self.held)), None
+        for t, held in enumerate(self.held):
+            since = (t if since is None else since) if held else None
+            if since is not None:
+                carried[t] = np.linalg.norm(self.contacts[t].mean(axis=0) - self.contacts[since].mean(axis=0))
+        return carried
+
 
 def opposing_sides(representation: FunctionalRepresentation, tree: KinematicTree) -> np.ndarray | None:
     """(N,) side, 0 or 1, of each pair: pads whose normals face each other when the hand is closed.

@@ -83,6 +83,8 @@ def keep_out_links(problem: AlignmentProblem, options: ClearanceOptions) -> Keep
         for body, vertices in zip(shapes.body, shapes.vertices_link, strict=True)
     ]
     sides = _spread_directions(_SIDES)
+    centre = np.array([(v.min(axis=0) + v.max(axis=0)) / 2 for v in placed]).reshape(-1, 3)
+    radius = np.array([np.linalg.norm(v - c, axis=1).max() for v, c in zip(placed, centre, strict=True)])
     margin = np.where(shapes.hand, options.hand_margin_m, options.arm_margin_m)
     return KeepOut(
         weight=float(options.weight),
@@ -93,6 +95,8 @@ def keep_out_links(problem: AlignmentProblem, options: ClearanceOptions) -> Keep
         vertices=np.concatenate([np.zeros((0, 3)), *placed]),
         directions=sides,
         reach=np.array([(v @ sides.T).max(axis=0) for v in placed]).reshape(-1, len(sides)),
+        centre=centre,
+        radius=radius,
         idle=idle,
     )
 
@@ -127,4 +131,6 @@ def keep_nothing_out() -> KeepOut:
     """No links and no weight: what compiled code gets while nothing is too near."""
     ints, floats = np.zeros(0, np.int64), np.zeros(0)
     points = np.zeros((0, 3))
-    return KeepOut(0.0, -np.inf, ints, floats, np.zeros(1, np.int64), points, points, points, np.zeros(0, bool))
+    return KeepOut(
+        0.0, -np.inf, ints, floats, np.zeros(1, np.int64), points, points, points, points, floats, np.zeros(0, bool)
+    )

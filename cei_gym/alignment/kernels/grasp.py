@@ -255,7 +255,7 @@ def overlaps(target, away, pads, around, around_start, elsewhere, elsewhere_star
         ):
             for link in range(len(links.joint)):
                 if links.idle[link]:
-                    distance = nearest(links, link, points, pose, links.joint[link], point, normal)
+                    distance = nearest(links, link, points, pose, links.joint[link], 0.0, point, normal)
                     deepest[t] = max(deepest[t], -distance)
     return deepest
 
@@ -322,14 +322,14 @@ def refine(target, grasp, away, pads, around, around_start, elsewhere, elsewhere
                 upper[k] = min(upper[k], last[k] + target.fastest[k] * dt_s)
             u[k] = min(max(u[k], lower[k]), upper[k])
         if reference >= 0:
-            rotation = grip.rotation[t] @ turned
+            rotation = np.ascontiguousarray(grip.rotation[t]) @ turned
         else:
             place_joints(target, followed[t], memory.pose)
             rotation = memory.pose.rot[grasp.palm].copy()
         holding = grip.held[t] and since >= 0
         position = np.zeros(3)
         if holding:
-            position = grip.position[t] + grip.rotation[t] @ carried
+            position = grip.position[t] + np.ascontiguousarray(grip.rotation[t]) @ carried
             for k in grasp.hand:
                 anchor[k] = held[k]
         wish = Wish(

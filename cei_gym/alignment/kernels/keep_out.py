@@ -27,6 +27,7 @@ class KeepOut(NamedTuple):
         vertices: (V, 3) outermost vertices in their joint's frame.
         directions: (D, 3) unit directions in the joint's frame.
         reach: (K, D) farthest that a link extends along each.
+        centre, radius: (K, 3), (K,) a ball around each link, in the joint's frame.
         idle: (K,) links that keep out of objects too (idle fingers; while refining a grasp, also others).
     """
 
@@ -38,6 +39,8 @@ class KeepOut(NamedTuple):
     vertices: np.ndarray
     directions: np.ndarray
     reach: np.ndarray
+    centre: np.ndarray
+    radius: np.ndarray
     idle: np.ndarray
 
 
@@ -60,7 +63,8 @@ def penalise(keep_out, obstacles, origin, pose, quadratic, derivatives):
                 _about(point, origin)
                 add_contact(k, point, normal, lacking, keep_out.weight, quadratic)
         if keep_out.idle[link]:
-            lacking = keep_out.margin_m[link] - nearest(keep_out, link, obstacles, pose, k, point, normal)
+            margin = keep_out.margin_m[link]
+            lacking = margin - nearest(keep_out, link, obstacles, pose, k, margin, point, normal)
             if lacking > 0.0:
                 total += 0.5 * keep_out.weight * lacking * lacking
                 if derivatives:
@@ -92,15 +96,21 @@ def _lowest(keep_out, link, pose, k, point):
 
 
 @njit(cache=True, nogil=True)
-def nearest(keep_out, link, obstacles, pose, k, point, normal):
-    """Distance of the nearest obstacle (negative inside); its point, and the way out for the link."""
-    R, t = pose.rot[k], pose.pos[k]
-    least, which, side = np.inf, 0, 0
+def nearest(keep_out, link, obstacles, pose, k, cutoff_m, point, normal):
+    """Distance of the nearest obstacle (negative inside), its point, and the way out for the link.
+
+    Points beyond `cutoff_m` are not looked at: where all are, it is returned, and `point` and `normal` are not filled.
+    """
+    R, t, centre = pose.rot[k], pose.pos[k], keep_out.centre[link]
+    bound = (keep_out.radius[link] + max(cutoff_m, 0.0)) ** 2
+    least, which, side = cutoff_m, -1, 0
     for p in range(len(obstacles)):
         dx, dy, dz = obstacles[p, 0] - t[0], obstacles[p, 1] - t[1], obstacles[p, 2] - t[2]
         x = R[0, 0] * dx + R[1, 0] * dy + R[2, 0] * dz
         y = R[0, 1] * dx + R[1, 1] * dy + R[2, 1] * dz
         z = R[0, 2] * dx + R[1, 2] * dy + R[2, 2] * dz
+        if (x - centre[0]) ** 2 + (y - centre[1]) ** 2 + (z - centre[2]) ** 2 > bound:
+            continue
         outside, face = -np.inf, 0
         for d in range(len(keep_out.directions)):
             n = keep_out.directions[d]
@@ -111,7 +121,7 @@ def nearest(keep_out, link, obstacles, pose, k, point, normal):
                     break
         if outside < least:
             least, which, side = outside, p, face
-    if len(obstacles):
+    if which >= 0:
         n = keep_out.directions[side]
         for i in range(3):
             point[i] = obstacles[which, i]
@@ -132,5 +142,5 @@ def shortfall(target, keep_out, obstacles, obstacle_start, u):
             k, margin = keep_out.joint[link], keep_out.margin_m[link]
             worst[t] = max(worst[t], keep_out.height_m + margin - _lowest(keep_out, link, pose, k, point))
             if keep_out.idle[link]:
-                worst[t] = max(worst[t], margin - nearest(keep_out, link, around, pose, k, point, normal))
+                worst[t] = max(worst[t], margin - nearest(keep_out, link, around, pose, k, margin, point, normal))
     return worst

@@ -1,0 +1,43 @@
+"""What stands near a hand, seen or not: a hand hides the very things that it must not touch."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+_VOXEL_M = 0.008
+_SAME_M = 0.012  # a remembered point this near to one that is seen is that point
+
+
+def remember(scenes: Sequence[np.ndarray], centre: np.ndarray, moved: np.ndarray, radius_m: float) -> list[np.ndarray]:
+    """For each frame the points near a hand, with those that it hides where they were seen last.
+
+    A point that vanishes near the hand is taken to be hidden, not gone, unless the hand moves something.
+
+    Args:
+        scenes: for each of T frames (P, 3) points on objects, m.
+        centre: (T, 3) of the hand, same frame of reference.
+        moved: (T,) whether the hand moves what it holds: what was remembered is then forgotten.
+        radius_m: how near is near.
+
+    Returns:
+        For each frame (Q, 3) points, one a voxel of 8 mm.
+    """
+    remembered = np.zeros((0, 3))
+    frames = []
+    for points, hand, moving in zip(scenes, centre, moved, strict=True):
+        seen = _thin(points[np.linalg.norm(points - hand, axis=1) < radius_m])
+        hidden = remembered[np.linalg.norm(remembered - hand, axis=1) < radius_m]
+        if moving:
+            hidden = hidden[:0]
+        elif len(seen) and len(hidden):
+            hidden = hidden[cKDTree(seen).query(hidden)[0] > _SAME_M]
+        remembered = np.concatenate([seen, hidden])
+        frames.append(remembered)
+    return frames
+
+
+def _thin(points: np.ndarray) -> np.ndarray:
+    """The first point of each voxel."""
+    _, first = np.unique(np.floor(points / _VOXEL_M).astype(np.int64), axis=0, return_index=True)
+    return points[np.sort(first)]
