@@ -145,7 +145,7 @@ class Transfer:
             self.problem, self.solver_options, motions[0].points_base[0], motions[0].normals_base[0], self.init
         )
         # The first demonstration rules most candidates out; the rest decide among the few that are left.
-        few = judge_basins(self._follower, motions[:1], starts)[: _FINALISTS * self.init.modes]
+        few = judge_basins(self._follower, motions[:1], starts, refine=False)[: _FINALISTS * self.init.modes]
         self._finalists = judge_basins(self._follower, motions, np.array([b.u for b in few]))
         self.basins = choose_modes(self._finalists, self.init.modes)
 

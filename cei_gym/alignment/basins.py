@@ -59,14 +59,17 @@ class Basin:
     u_last: np.ndarray
 
 
-def judge_basins(follower: Follower, motions: Sequence[Motion], basins: np.ndarray) -> list[Basin]:
+def judge_basins(
+    follower: Follower, motions: Sequence[Motion], basins: np.ndarray, refine: bool = True
+) -> list[Basin]:
     """Follow each basin through whole demonstrations; best first.
 
     Args:
         motions: the demonstrations; their `u0` is replaced by each basin.
         basins: (K, m) frame-0 solutions.
+        refine: carry contact over too.
     """
-    tracks = follower.follow_all([replace(motion, u0=u0) for u0 in basins for motion in motions])
+    tracks = follower.follow_all([replace(motion, u0=u0) for u0 in basins for motion in motions], refine)
     each = [tracks[i * len(motions) : (i + 1) * len(motions)] for i in range(len(basins))]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         judged = list(pool.map(lambda x: judge(follower, motions, *x), zip(basins, each, strict=True)))

@@ -44,13 +44,15 @@ class Follower:
         """See `follow_all`."""
         return self.follow_all([motion])[0]
 
-    def follow_all(self, motions: Sequence[Motion]) -> list[Track]:
-        """The tracks of motions; those without `surroundings` are only followed freely."""
+    def follow_all(self, motions: Sequence[Motion], refine: bool = True) -> list[Track]:
+        """The tracks of motions; those without `surroundings` are only followed freely, those without `grip` not refined."""
         tracks = self.solver.track_all([replace(m, surroundings=None) for m in motions])
         near = [i for i, m in enumerate(motions) if self._too_near(m, tracks[i])]
         again = self.solver.track_all([motions[i] for i in near])
         for i, track in zip(near, again, strict=True):
             tracks[i] = track
+        if not refine:
+            return tracks
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return list(pool.map(self._grasp.refine, motions, tracks))
 

@@ -102,15 +102,19 @@ def nearest(keep_out, link, obstacles, pose, k, cutoff_m, point, normal):
     Points beyond `cutoff_m` are not looked at: where all are, it is returned, and `point` and `normal` are not filled.
     """
     R, t, centre = pose.rot[k], pose.pos[k], keep_out.centre[link]
+    cx = t[0] + R[0, 0] * centre[0] + R[0, 1] * centre[1] + R[0, 2] * centre[2]
+    cy = t[1] + R[1, 0] * centre[0] + R[1, 1] * centre[1] + R[1, 2] * centre[2]
+    cz = t[2] + R[2, 0] * centre[0] + R[2, 1] * centre[1] + R[2, 2] * centre[2]
     bound = (keep_out.radius[link] + max(cutoff_m, 0.0)) ** 2
     least, which, side = cutoff_m, -1, 0
     for p in range(len(obstacles)):
-        dx, dy, dz = obstacles[p, 0] - t[0], obstacles[p, 1] - t[1], obstacles[p, 2] - t[2]
+        ox, oy, oz = obstacles[p, 0], obstacles[p, 1], obstacles[p, 2]
+        if (ox - cx) * (ox - cx) + (oy - cy) * (oy - cy) + (oz - cz) * (oz - cz) > bound:
+            continue
+        dx, dy, dz = ox - t[0], oy - t[1], oz - t[2]
         x = R[0, 0] * dx + R[1, 0] * dy + R[2, 0] * dz
         y = R[0, 1] * dx + R[1, 1] * dy + R[2, 1] * dz
         z = R[0, 2] * dx + R[1, 2] * dy + R[2, 2] * dz
-        if (x - centre[0]) ** 2 + (y - centre[1]) ** 2 + (z - centre[2]) ** 2 > bound:
-            continue
         outside, face = -np.inf, 0
         for d in range(len(keep_out.directions)):
             n = keep_out.directions[d]
