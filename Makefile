@@ -45,6 +45,7 @@ build: setup ## Build the wheels and sdists of both distributions into dist/
 	@ls dist/*
 
 benchmark: setup ## Run every benchmark
+	@$(PYTHON_ENV) -m cei_converters.benchmark.command replay
 	@for file in benchmarks/*.py; do echo "== $$file"; $(PYTHON_ENV) "$$file" || exit; done
 
 lock: ## Bring requirements.lock up to the pyprojects (LOCK_ARGS=--upgrade for newer versions)

@@ -1,7 +1,7 @@
 """A demonstration: one recorded episode of one embodiment, in SI units and a named scene."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -85,3 +85,18 @@ class Demonstration:
 
     def __len__(self) -> int:
         return len(self.qpos)
+
+    def at(self, frames: np.ndarray) -> "Demonstration":
+        """The demonstration with its frames at these indices, in this order."""
+
+        def taken(value: np.ndarray | None) -> np.ndarray | None:
+            return None if value is None else value[frames]
+
+        return replace(
+            self,
+            qpos=self.qpos[frames],
+            action=self.action[frames],
+            depth_m={name: images[frames] for name, images in self.depth_m.items()},
+            point_cloud_world=taken(self.point_cloud_world),
+            environment_state=taken(self.environment_state),
+        )

@@ -26,6 +26,7 @@ from cei_gym.alignment import (
     link_shapes,
     make_report,
     opposing_sides,
+    pace,
     source_grip,
     squeeze,
 )
@@ -59,6 +60,8 @@ class TransferOptions:
             analysis).
         points: point-normal pairs of each functional representation.
         seed: of sampling pads and robot surfaces.
+        stretch: how many times as long an episode may become where the target is too slow to keep up: the source then waits
+            for it, frame by frame. 1 keeps the frames as they are.
         unreachable_mm: mean pad distance above which a frame counts as out of the target's reach.
         tau_m: threshold of the robot mask.
         robot_points: points sampled over the target's whole surface.
@@ -69,6 +72,7 @@ class TransferOptions:
     representation: str = "standard"
     points: int = 64
     seed: int = 0
+    stretch: float = 2.0
     unreachable_mm: float = 30.0
     tau_m: float = 0.005
     robot_points: int = 16384
@@ -79,6 +83,8 @@ class TransferOptions:
             raise unknown("transfer.method", self.method, METHODS)
         if self.representation not in VARIANTS:
             raise unknown("transfer.representation", self.representation, VARIANTS)
+        if not 1 <= self.stretch < np.inf:
+            raise CEIError(f"transfer.stretch={self.stretch} must be at least 1.")
 
 
 class Transfer:
@@ -174,7 +180,8 @@ class Transfer:
             track = closing = self._specified(self._manual, demonstration, motion)
             report = self._report(motion, track)
         else:
-            track, report = self._follow(motion, mode)
+            frames, motion, track, report = self._follow(motion, mode)
+            demonstration, scenes = demonstration.at(frames), [scenes[t] for t in frames] if scenes else scenes
             closing = replace(track, u=squeeze(self.problem, track.u, self._squeeze_m(demonstration, motion)))
         qpos = self.target.coupled.expand(track.u)
         # a_t = q_(t+1); the last frame holds.
@@ -208,24 +215,25 @@ class Transfer:
         """The source's points and normals (..., N, 3) in the target's base frame, at (..., n) joint positions."""
         return self.source_representation.place(T_target_source @ self._source_tree.forward(qpos))
 
-    def _follow(self, motion: Motion, mode: int) -> tuple[Track, AlignmentReport]:
+    def _follow(self, motion: Motion, mode: int) -> tuple[np.ndarray, Motion, Track, AlignmentReport]:
         """Follow a motion from its mode's basin, or from the best of the others where that goes wrong."""
-        chosen = self._follow_from(self.basins[mode % len(self.basins)], motion)
-        (started, track), basin = chosen
-        report = self._report(started, track)
-        wrong = max(basin.penetration_m, basin.overlap_m, basin.contact_miss_m) > _TOLERATED_M
-        if report.unreachable_frames or wrong:
-            others = [self._follow_from(other, motion) for other in self._finalists]
-            (started, track), _ = min([chosen, *others], key=lambda x: x[1].cost)
-            report = self._report(started, track)
-        return track, report
+        best = self._follow_from(self.basins[mode % len(self.basins)], motion)
+        report = self._report(best.motion, best.track)
+        if report.unreachable_frames or best.wrong:
+            best = min(
+                [best, *(self._follow_from(other, motion) for other in self._finalists)], key=lambda x: x.basin.cost
+            )
+            report = self._report(best.motion, best.track)
+        return best.frames, best.motion, best.track, report
 
-    def _follow_from(self, basin: Basin, motion: Motion) -> tuple[tuple[Motion, Track], Basin]:
+    def _follow_from(self, basin: Basin, motion: Motion) -> "_Followed":
         points, normals = motion.points_base[:1], motion.normals_base[:1]
         u0 = self._follower.solver.track(points, normals, basin.u, _FIRST_FRAME_ITERATIONS).u[0]
         motion = replace(motion, u0=u0)
+        frames = pace(self.problem, self._follower.solver, self.solver_options, motion, self.options.stretch)
+        motion = motion.at(frames)
         track = self._follower.follow(motion)
-        return (motion, track), judge(self._follower, [motion], basin.u, [track])
+        return _Followed(frames, motion, track, judge(self._follower, [motion], basin.u, [track]))
 
     def _report(self, motion: Motion, track: Track) -> AlignmentReport:
         o = self.solver_options
@@ -321,6 +329,21 @@ class Transfer:
             return None
         workspace, base = demonstration.scene.workspace_world, self._base(demonstration)
         return np.stack([self._synthesise(s, workspace, q, base) for s, q in zip(scenes, qpos, strict=True)])
+
+
+@dataclass(frozen=True)
+class _Followed:
+    """A motion at the target's pace (which of its frames), followed from a basin, and how that went."""
+
+    frames: np.ndarray
+    motion: Motion
+    track: Track
+    basin: Basin
+
+    @property
+    def wrong(self) -> bool:
+        b = self.basin
+        return max(b.penetration_m, b.overlap_m, b.contact_miss_m) > _TOLERATED_M or b.torque_share > 1
 
 
 class LiveTransfer:

@@ -102,7 +102,7 @@ def test_metadata_and_card_say_how_it_was_made(job: Path) -> None:
     provenance = metadata["provenance"]
     assert provenance["source"]["embodiment"] == SOURCE
     assert set(provenance["pads"]) == {SOURCE, TARGET}
-    assert provenance["options"]["transfer"]["squeeze_m"] == pytest.approx(0.01)
+    assert provenance["options"]["contact"]["squeeze_m"] == pytest.approx(0.01)
     assert provenance["options"]["basins"][0]["cost"] < 0
     assert provenance["versions"]["lerobot"]
     assert [r["seed"] for r in metadata["episodes"]] == [3, 4]

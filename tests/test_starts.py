@@ -191,7 +191,7 @@ def test_a_drawer_opens_in_two_ways(name: str, method: str) -> None:
 
 
 def basin(u: float, u_last: float, cost: float) -> Basin:
-    return Basin(np.array([u]), cost, cost, 0.0, 0.0, 0.0, 0.0, 0.0, np.array([u_last]))
+    return Basin(np.array([u]), cost, cost, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.array([u_last]))
 
 
 def test_modes_differ_at_both_ends_and_cost_about_the_same() -> None:

@@ -6,6 +6,7 @@ from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.grip import Grip, opposing_sides, source_grip
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.manual import ManualAlignment
+from cei_gym.alignment.pace import pace
 from cei_gym.alignment.problem import (
     BACKENDS,
     AlignmentProblem,
@@ -51,6 +52,7 @@ __all__ = [
     "make_report",
     "make_solver",
     "opposing_sides",
+    "pace",
     "source_grip",
     "squeeze",
 ]

@@ -18,7 +18,7 @@ from cei_gym.errors import CEIError
 _PENETRATION_WEIGHT = 1.0  # metres of objective a metre of penetration
 _OVERLAP_WEIGHT = 0.5  # metres of objective a metre that a link is in an object
 _MISS_WEIGHT = 1.0  # metres of objective a metre between contact points and the source's
-_TORQUE_WEIGHT = 0.05  # metres of objective for static torque a full limit above the allowed share
+_TORQUE_WEIGHT = 0.3  # metres of objective for static torque a full limit above the allowed share: such an arm sinks
 _TORQUE_SHARE = 0.8
 _LAG_WEIGHT = 0.05  # metres of objective if some joint moves as fast as it can in all frames
 _MARGIN_WEIGHT = 0.01  # metres of objective if some arm joint is near a limit in all frames
@@ -59,9 +59,7 @@ class Basin:
     u_last: np.ndarray
 
 
-def judge_basins(
-    follower: Follower, motions: Sequence[Motion], basins: np.ndarray, refine: bool = True
-) -> list[Basin]:
+def judge_basins(follower: Follower, motions: Sequence[Motion], basins: np.ndarray, refine: bool = True) -> list[Basin]:
     """Follow each basin through whole demonstrations; best first.
 
     Args:

@@ -10,18 +10,18 @@ from functools import cached_property
 
 import numpy as np
 
-from cei_gym.alignment.grip import Grip, in_grip, opposing_sides
+from cei_gym.alignment.grip import Grip, in_grip, opposing_sides, pad_shapes
 from cei_gym.alignment.kernels import grasp as kernels
 from cei_gym.alignment.kernels.distance import distances
 from cei_gym.alignment.kernels.target import make_target
-from cei_gym.alignment.links import keep_nothing_out, keep_out_links, outermost, pack_obstacles
+from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
 from cei_gym.alignment.problem import AlignmentProblem, ContactOptions, Motion, SolverOptions, Surroundings, Track
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
-from cei_gym.functional.representation import pad_mesh
 from cei_gym.kinematics.joints import reduce_to_joints
 
 _ITERATIONS = 20
 _TOLERANCE_M = 1e-6
+_CLEARANCE_FIRST = 4.0
 
 
 class GraspRefiner:
@@ -78,16 +78,14 @@ class GraspRefiner:
         embodiment = problem.embodiment
         target = make_target(problem.representation, problem.tree, all_joints=True)
         _, attachment = reduce_to_joints(problem.tree.arrays)
-        spec = embodiment.end_effector
-        bodies = [embodiment.body_id(pad.body) for pad in spec.pads]
+        pads = pad_shapes(problem.representation, self._sides)
         vertices = [
-            outermost(np.asarray(pad_mesh(embodiment, pad).vertices)) @ attachment.rot[b].T + attachment.pos[b]
-            for b, pad in zip(bodies, spec.pads, strict=True)
+            v @ attachment.rot[b].T + attachment.pos[b] for b, v in zip(pads.body, pads.vertices_link, strict=True)
         ]
-        side = np.array([self._sides[problem.representation.body == b][0] for b in bodies])
+        side = pads.side
         root = next(i for i, name in enumerate(embodiment.body_names) if name.startswith(END_EFFECTOR_PREFIX))
         grasp = kernels.Grasp(
-            joint=attachment.joint[bodies],
+            joint=attachment.joint[pads.body],
             side=side,
             share=1.0 / np.where(side == 0, (side == 0).sum(), (side == 1).sum()),
             start=np.concatenate([[0], np.cumsum([len(v) for v in vertices])]).astype(np.int64),
@@ -104,6 +102,8 @@ class GraspRefiner:
         if self._options.clearance.weight <= 0:
             return target, grasp, keep_nothing_out(), keep_nothing_out()
         links = keep_out_links(problem, self._options.clearance)
+        # Here clearance competes with contact points, which weigh as much: what touches too early loses the object.
+        links = links._replace(weight=_CLEARANCE_FIRST * links.weight)
         touches = np.isin(links.joint, grasp.joint)
         away = links._replace(idle=~touches)
         return target, grasp, away, links._replace(idle=touches, height_m=-np.inf)

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cei_gym.functional.representation import FunctionalRepresentation
+from cei_gym.embodiment.meshes import outermost
+from cei_gym.functional.representation import FunctionalRepresentation, pad_mesh
 from cei_gym.kinematics.tree import KinematicTree
 
+SOFTNESS_M = 1e-3  # how deep a vertex still touches what the farthest touches
 _LEAST_OPPOSITION = 0.7  # rad between the mean normals of two sides that close on each other
-_FACE_M = 1e-3  # points of a pad that lie this deep still touch what the farthest touches
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,10 @@ class Grip:
     position: np.ndarray
     rotation: np.ndarray
     held: np.ndarray
+
+    def at(self, frames: np.ndarray) -> "Grip":
+        """The grip with its frames at these indices."""
+        return Grip(*(value[frames] for value in vars(self).values()))
 
     @property
     def carried_m(self) -> np.ndarray:
@@ -61,6 +66,31 @@ def opposing_sides(representation: FunctionalRepresentation, tree: KinematicTree
     return side[pad].astype(np.int64) if cosine < np.cos(_LEAST_OPPOSITION) else None
 
 
+@dataclass(frozen=True)
+class PadShapes:
+    """The pads of an end-effector as convex shapes: what of them can touch.
+
+    Attributes:
+        body: (P,) link of each pad.
+        side: (P,) 0 or 1.
+        vertices_link: for each, (V, 3) outermost vertices in the link's frame, m.
+    """
+
+    body: np.ndarray
+    side: np.ndarray
+    vertices_link: list[np.ndarray]
+
+
+def pad_shapes(representation: FunctionalRepresentation, sides: np.ndarray) -> PadShapes:
+    """The shapes of a representation's pads, with (N,) sides of its pairs."""
+    embodiment = representation.embodiment
+    assert embodiment.end_effector is not None
+    pads = embodiment.end_effector.pads
+    body = np.array([embodiment.body_id(pad.body) for pad in pads])
+    side = np.array([sides[representation.body == b][0] for b in body])
+    return PadShapes(body, side, [outermost(np.asarray(pad_mesh(embodiment, pad).vertices)) for pad in pads])
+
+
 def source_grip(
     representation: FunctionalRepresentation,
     sides: np.ndarray,
@@ -77,15 +107,18 @@ def source_grip(
         T_base_links: (T, L, 4, 4) its links, in the target's base frame.
         held: (T,) whether it holds something.
     """
-    points, normals = representation.place(T_base_links)
+    _, normals = representation.place(T_base_links)
     axis = normals[:, sides == 0].mean(axis=1) - normals[:, sides == 1].mean(axis=1)
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    contacts = np.empty((len(points), 2, 3))
-    for side, sign in ((0, 1.0), (1, -1.0)):
-        own = points[:, sides == side]
-        depth = sign * np.einsum("tni,ti->tn", own, axis)
-        weight = np.exp((depth - depth.max(axis=1, keepdims=True)) / _FACE_M)
-        contacts[:, side] = np.einsum("tn,tni->ti", weight, own) / weight.sum(axis=1, keepdims=True)
+    pads = pad_shapes(representation, sides)
+    contacts = np.zeros((len(axis), 2, 3))
+    for body, side, vertices in zip(pads.body, pads.side, pads.vertices_link, strict=True):
+        T = T_base_links[:, body]
+        points = np.einsum("tij,vj->tvi", T[:, :3, :3], vertices) + T[:, None, :3, 3]
+        depth = np.einsum("tvi,ti->tv", points, axis if side == 0 else -axis)
+        weight = np.exp((depth - depth.max(axis=1, keepdims=True)) / SOFTNESS_M)
+        touched = np.einsum("tv,tvi->ti", weight, points) / weight.sum(axis=1, keepdims=True)
+        contacts[:, side] += touched / (pads.side == side).sum()
     T_base_root = T_base_links[:, root]
     return Grip(axis, contacts, T_base_root[:, :3, 3], T_base_root[:, :3, :3], held)
 

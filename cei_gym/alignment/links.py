@@ -7,13 +7,10 @@ import numpy as np
 from cei_gym.alignment.kernels.keep_out import KeepOut
 from cei_gym.alignment.problem import AlignmentProblem, ClearanceOptions, Surroundings
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
-from cei_gym.embodiment.meshes import collision_geoms, link_mesh
+from cei_gym.embodiment.meshes import collision_geoms, link_mesh, outermost, spread_directions
 from cei_gym.kinematics import KinematicTree
 from cei_gym.kinematics.joints import JointTree, reduce_to_joints
 
-_OUTERMOST = (
-    512  # directions in which a link keeps its outermost vertices: within 2 mm of all of them against any plane
-)
 _SIDES = 64  # directions that bound a link against points
 
 
@@ -82,7 +79,7 @@ def keep_out_links(problem: AlignmentProblem, options: ClearanceOptions) -> Keep
         vertices @ attachment.rot[body].T + attachment.pos[body]
         for body, vertices in zip(shapes.body, shapes.vertices_link, strict=True)
     ]
-    sides = _spread_directions(_SIDES)
+    sides = spread_directions(_SIDES)
     centre = np.array([(v.min(axis=0) + v.max(axis=0)) / 2 for v in placed]).reshape(-1, 3)
     radius = np.array([np.linalg.norm(v - c, axis=1).max() for v, c in zip(placed, centre, strict=True)])
     margin = np.where(shapes.hand, options.hand_margin_m, options.arm_margin_m)
@@ -110,21 +107,9 @@ def pack_obstacles(surroundings: Surroundings | None, frames: int) -> tuple[np.n
     return np.concatenate([np.zeros((0, 3)), *points]), start
 
 
-def outermost(vertices: np.ndarray) -> np.ndarray:
-    """The vertices (V, 3) that lie farthest out in evenly spread directions: enough to tell which touches a plane."""
-    return vertices[np.unique((vertices @ _spread_directions(_OUTERMOST).T).argmax(axis=0))]
-
-
 def _axis_base(joints: JointTree) -> np.ndarray:
     """(n, 3) axes in the frame of each joint's parent: the base frame for those that have none."""
     return np.einsum("nij,nj->ni", joints.rot, joints.axis)
-
-
-def _spread_directions(n: int) -> np.ndarray:
-    """(n, 3) unit vectors evenly spread over the sphere (a golden spiral)."""
-    i = np.arange(n) + 0.5
-    polar, turn = np.arccos(1 - 2 * i / n), np.pi * (1 + 5**0.5) * i
-    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
 
 
 def keep_nothing_out() -> KeepOut:

@@ -1,7 +1,7 @@
 """The alignment problem of one target embodiment, and what a solver returns for a trajectory (section IV-B)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -138,6 +138,19 @@ class Motion:
     dt_s: float | None = None
     surroundings: Surroundings | None = None
     grip: Grip | None = None
+
+    def at(self, frames: np.ndarray) -> "Motion":
+        """The motion with its frames at these indices."""
+        around, grip = self.surroundings, self.grip
+        if around is not None and len(around.obstacles_base):
+            around = replace(around, obstacles_base=[around.obstacles_base[t] for t in frames])
+        return replace(
+            self,
+            points_base=self.points_base[frames],
+            normals_base=self.normals_base[frames],
+            surroundings=around,
+            grip=None if grip is None else grip.at(frames),
+        )
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ def squeeze(problem: AlignmentProblem, u: np.ndarray, depth_m: np.ndarray) -> np
     """Joints that close each pad along its normal, the arm at rest.
 
     Pads close in proportion to their share (their YAML's `share`), `depth_m` in the mean: a thumb against two fingers goes
-    farther than each of them, so that it pushes as hard as both and the object stays where it is.
+    farther than each of them, so that it pushes as hard as both and the object stays where it is. Fingers whose joints give
+    way (the YAML's `compliance`) are sent farther.
 
     Args:
         problem: the target.
@@ -28,10 +29,11 @@ def squeeze(problem: AlignmentProblem, u: np.ndarray, depth_m: np.ndarray) -> np
         return u
     qpos = embodiment.coupled.expand(u[closing])
     _, normals = representation.place(problem.tree.forward(qpos))
-    pads = embodiment.end_effector.pads
+    spec = embodiment.end_effector
+    pads = spec.pads
     share = np.array([pad.share for pad in pads])
     hessian, gradient = _RIDGE * np.eye(len(hand)), 0.0
-    for pad, weight in zip(pads, share / share.mean(), strict=True):
+    for pad, weight in zip(pads, spec.compliance * share / share.mean(), strict=True):
         own = representation.body == embodiment.body_id(pad.body)
         normal = normals[:, own].mean(axis=1)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -1,6 +1,7 @@
 """Surfaces of an embodiment's links as trimesh, in the link's frame, metres."""
 
 from collections.abc import Iterable
+from functools import cache
 from typing import cast
 
 import mujoco
@@ -9,6 +10,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from cei_gym.errors import CEIError
+
+_OUTERMOST = (
+    512  # directions in which a link keeps its outermost vertices: within 2 mm of all of them against any plane
+)
 
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
@@ -65,3 +70,16 @@ def _compiled_mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
     vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
     return trimesh.Trimesh(model.mesh_vert[vertices].astype(float), model.mesh_face[faces], process=True)
+
+
+def outermost(vertices: np.ndarray) -> np.ndarray:
+    """The vertices (V, 3) that lie farthest out in evenly spread directions: enough to tell which touches a plane."""
+    return vertices[np.unique((vertices @ spread_directions(_OUTERMOST).T).argmax(axis=0))]
+
+
+@cache
+def spread_directions(n: int) -> np.ndarray:
+    """(n, 3) unit vectors evenly spread over the sphere (a golden spiral)."""
+    i = np.arange(n) + 0.5
+    polar, turn = np.arccos(1 - 2 * i / n), np.pi * (1 + 5**0.5) * i
+    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)

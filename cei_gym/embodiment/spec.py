@@ -103,6 +103,8 @@ class EndEffectorSpec:
         home: rest pose of independent joints (others 0); joints that move no pad stay there.
         closed: closed pose of independent joints; home to closed tells which side of a finger is palmar.
         max_velocity: as for an arm.
+        compliance: how many times as far fingers are sent into an object for the same grip, where joints without a motor
+            give way.
         simulator_name: the simulator's name for it, if it differs.
     """
 
@@ -112,6 +114,7 @@ class EndEffectorSpec:
     home: dict[str, float] = field(default_factory=dict)
     closed: dict[str, float] = field(default_factory=dict)
     max_velocity: dict[str, float] = field(default_factory=dict)
+    compliance: float = 1.0
     root_body: str = ""
     angle: str = ""
     inertia_groups: list[int] = field(default_factory=list)

@@ -1,9 +1,10 @@
 """`cei-replay`: execute a dataset's actions in physics, from each episode's recorded start, and count successes."""
 
+import contextlib
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
     from cei_converters.reader import DatasetReader
+    from cei_gym.demonstration import Demonstration
 
 EXAMPLE = """example:
   cei-replay --dataset.repo_id=me/pick_iiwa --dataset.root=data/pick_iiwa
@@ -35,6 +37,7 @@ class ReplayConfig:
     dataset: DatasetConfig
     source: SourceConfig = field(default_factory=SourceConfig)  # Shown beside it in the video.
     env: str | None = None  # Environment id; default: the one that the dataset names.
+    stock_physics: bool = False  # Without the embodiment's physics exceptions, but for those that it cannot do without.
     episodes: str | None = None  # Episodes to replay, such as 0,3,5; default: all.
     video: str | None = None  # MP4 to write, with a contact sheet beside it; default: outputs/replay/<name>.mp4.
     video_episodes: int = 3  # How many episodes the video shows; 0 writes none.
@@ -56,25 +59,26 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
     video = _video_path(config)
     reader = DatasetReader(config.dataset.repo_id, config.dataset.root)
     selected = reader.select(parse_episodes(config.episodes))
-    stage = _Stage(reader, config.env)
-    beside = None
-    if config.source.repo_id is not None:
-        beside = _Stage(DatasetReader(config.source.repo_id, config.source.root), None)
-    results, films = [], []
-    with progress_bar("episodes") as progress:
-        task = progress.add_task(f"replaying {stage.reader.embodiment.name}", total=len(selected))
+    with contextlib.ExitStack() as stack:
+        stage = stack.enter_context(_stage_of(reader, config.env, config.stock_physics))
+        beside = None
+        if config.source.repo_id is not None:
+            source = DatasetReader(config.source.repo_id, config.source.root)
+            beside = source, stack.enter_context(_stage_of(source))
+        results, films = [], []
+        progress = stack.enter_context(progress_bar("episodes"))
+        task = progress.add_task(f"replaying {reader.embodiment.name}", total=len(selected))
         for index in selected:
             filmed = video is not None and len(films) < config.video_episodes
-            entry, pictures = stage.play(index, filmed)
+            entry, pictures = stage.play(reader.read(index, clouds=False), filmed)
             results.append(entry)
             if filmed:
-                films.append(_film(stage, beside, index, entry, pictures))
+                films.append(_film(reader, beside, entry, pictures))
             progress.advance(task)
-    for used in filter(None, (stage, beside)):
-        used.env.close()
     result = {
         "repo_id": reader.repo_id,
         "env": stage.env_id,
+        "stock_physics": stage.stock_physics,
         "embodiment": reader.embodiment.name,
         "episodes": len(results),
         "successes": sum(entry["success"] for entry in results),
@@ -90,35 +94,52 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
     return result
 
 
-class _Stage:
-    """A dataset and the environment that it replays in."""
+class Stage:
+    """An environment that demonstrations replay in; a context manager that closes it.
 
-    def __init__(self, reader: "DatasetReader", env_id: str | None) -> None:
+    Nothing is rendered but what is filmed.
+
+    Args:
+        env_id: the environment.
+        kwargs: for its constructor.
+
+    Raises:
+        CEIError: there is no such environment.
+    """
+
+    def __init__(self, env_id: str, **kwargs: Any) -> None:
         from cei_converters.environment import open_environment
 
-        recorded = reader.metadata.environment if reader.metadata is not None else None
-        self.reader = reader
-        self.env_id = env_id or (recorded.id if recorded is not None else None)
-        if self.env_id is None:
-            raise CEIError(f"{reader.repo_id} does not say which environment it replays in; name it with --env.")
-        kwargs = recorded.kwargs if recorded is not None and env_id is None else {}
-        self.env = open_environment(self.env_id, render_mode="rgb_array", **kwargs)
-        theirs = self.env.get_wrapper_attr("embodiment").name
-        if theirs != reader.embodiment.name:
-            raise CEIError(f"{reader.repo_id} is of {reader.embodiment.name}, but {self.env_id} has a {theirs}.")
+        self.env_id = env_id
+        self.stock_physics = bool(kwargs.get("stock_physics", False))
+        self.env = open_environment(env_id, **(kwargs | {"clouds": False, "render_mode": "rgb_array"}))
 
-    def play(self, index: int, filmed: bool) -> tuple[dict[str, Any], list[np.ndarray]]:
-        """Replay one episode: its result, and a picture a step if filmed."""
-        episode, env = self.reader.read(index, clouds=False), self.env
-        if episode.environment_state is None:
+    @property
+    def embodiment(self) -> str:
+        """Name of the robot in it."""
+        return self.env.get_wrapper_attr("embodiment").name
+
+    def play(self, demonstration: "Demonstration", filmed: bool = False) -> tuple[dict[str, Any], list[np.ndarray]]:
+        """Execute a demonstration's actions from its recorded start, the last one held for a success to show.
+
+        Returns:
+            The result (episode, success, failure, steps, frames), and a picture a step if filmed.
+
+        Raises:
+            CEIError: it is of another robot, or has no start.
+        """
+        if demonstration.embodiment != self.embodiment:
             raise CEIError(
-                f"episode {index} of {self.reader.repo_id} has no observation.environment_state to start from."
+                f"episode {demonstration.index} is of {demonstration.embodiment}, but {self.env_id} has a {self.embodiment}."
             )
-        start = {"environment_state": episode.environment_state[0], "agent_pos": episode.qpos[0]}
-        _, info = env.reset(seed=index, options=start)
+        if demonstration.environment_state is None:
+            raise CEIError(f"episode {demonstration.index} has no observation.environment_state to start from.")
+        env = self.env
+        start = {"environment_state": demonstration.environment_state[0], "agent_pos": demonstration.qpos[0]}
+        _, info = env.reset(seed=demonstration.index, options=start)
         pictures: list = [env.render()] if filmed else []
         steps = 0
-        for action in [*episode.action, *[episode.action[-1]] * HOLD_STEPS]:
+        for action in [*demonstration.action, *[demonstration.action[-1]] * HOLD_STEPS]:
             _, _, terminated, truncated, info = env.step(action.astype(np.float32))
             steps += 1
             if filmed:
@@ -126,26 +147,55 @@ class _Stage:
             if terminated or truncated:
                 break
         entry = {
-            "episode": index,
+            "episode": demonstration.index,
             "success": bool(info["is_success"]),
             "failure": info["failure"],
             "steps": steps,
-            "frames": len(episode),
+            "frames": len(demonstration),
         }
         return entry, pictures
 
+    def close(self) -> None:
+        """Free the simulation."""
+        self.env.close()
 
-def _film(stage: _Stage, beside: _Stage | None, index: int, entry: dict[str, Any], pictures: list[np.ndarray]):
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _stage_of(reader: "DatasetReader", env_id: str | None = None, stock_physics: bool = False) -> Stage:
+    """The environment that a dataset names, or another."""
+    recorded = reader.metadata.environment if reader.metadata is not None else None
+    kwargs = recorded.kwargs if recorded is not None and env_id is None else {}
+    env_id = env_id or (recorded.id if recorded is not None else None)
+    if env_id is None:
+        raise CEIError(f"{reader.repo_id} does not say which environment it replays in; name it with --env.")
+    return Stage(env_id, **(kwargs | {"stock_physics": True} if stock_physics else kwargs))
+
+
+def _film(
+    reader: "DatasetReader",
+    beside: "tuple[DatasetReader, Stage] | None",
+    entry: dict[str, Any],
+    pictures: list[np.ndarray],
+):
     """Views and their labels: the source, where it is known, then the replayed episode."""
-    verdict = "success" if entry["success"] else entry["failure"]
-    views, labels = [pictures], [f"{stage.reader.embodiment.name}, episode {index}: {verdict}"]
+    views, labels = [pictures], [_label(reader, entry)]
     if beside is not None:
-        source = stage.reader.record(index).get("source_episode", index)
-        source_entry, source_pictures = beside.play(source, True)
-        verdict = "success" if source_entry["success"] else source_entry["failure"]
+        source, stage = beside
+        index = reader.record(entry["episode"]).get("source_episode", entry["episode"])
+        source_entry, source_pictures = stage.play(source.read(index, clouds=False), filmed=True)
         views.insert(0, source_pictures)
-        labels.insert(0, f"{beside.reader.embodiment.name}, episode {source}: {verdict}")
+        labels.insert(0, _label(source, source_entry))
     return views, labels
+
+
+def _label(reader: "DatasetReader", entry: dict[str, Any]) -> str:
+    verdict = "success" if entry["success"] else entry["failure"]
+    return f"{reader.embodiment.name}, episode {entry['episode']}: {verdict}"
 
 
 def _video_path(config: ReplayConfig) -> Path | None:

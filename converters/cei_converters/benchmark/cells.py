@@ -1,0 +1,106 @@
+"""What there is to run: a cell is a task, a target and a variant of the method; tables are made of cells."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from cei_converters.benchmark import paper
+from cei_gym.embodiment import ARMS
+from cei_gym.errors import CEIError, unknown
+
+SOURCE = "Panda-PandaGripper"
+TASKS = tuple(paper.REPLAY)
+END_EFFECTORS = tuple(paper.REPLAY[TASKS[0]])
+TARGETS = tuple(f"{arm}-{end_effector}" for end_effector in END_EFFECTORS for arm in ARMS)
+VARIANTS: dict[str, list[str]] = {
+    "cei": [],
+    "bms": ["--transfer.method=bms"],
+    "no_direction": ["--solver.lambda_m=0"],
+    "reduced": ["--transfer.representation=reduced"],
+    "dropped": ["--transfer.representation=dropped"],
+}
+"""Options of `cei-convert` that differ from the defaults."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Demonstrations of one task, transferred to one target by one variant."""
+
+    task: str
+    target: str
+    variant: str = "cei"
+
+    @property
+    def name(self) -> str:
+        """Of its file and folder."""
+        return f"{self.task}-{self.target}" + (f"-{self.variant}" if self.variant != "cei" else "")
+
+    @property
+    def arm(self) -> str:
+        """Of the target."""
+        return self.target.split("-")[0]
+
+    @property
+    def end_effector(self) -> str:
+        """Of the target."""
+        return self.target.split("-")[1]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A cell's place in a table: under which label, beside which figure of the paper (percent, if it has one)."""
+
+    cell: Cell
+    label: str
+    paper: float | None
+
+
+def _main() -> Iterable[Entry]:
+    for task in TASKS:
+        yield Entry(Cell(task, SOURCE), "source", None)
+        for target in TARGETS:
+            cell = Cell(task, target)
+            yield Entry(cell, "CEI", paper.REPLAY[task][cell.end_effector][cell.arm])
+
+
+def _ablation() -> Iterable[Entry]:
+    for task in TASKS:
+        for variant, (label, figures) in zip(("bms", "no_direction", "cei"), paper.ABLATION[task].items(), strict=True):
+            for target, figure in zip(paper.ABLATION_TARGETS, figures, strict=True):
+                yield Entry(Cell(task, target, variant), label, figure)
+
+
+def _sensitivity() -> Iterable[Entry]:
+    target = f"{ARMS[0]}-{paper.SENSITIVITY_END_EFFECTOR}"
+    for variant, (label, figure) in zip(("cei", "reduced", "dropped"), paper.SENSITIVITY.items(), strict=True):
+        yield Entry(Cell(paper.SENSITIVITY_TASK, target, variant), label, figure)
+
+
+TABLES = {"main": tuple(_main()), "ablation": tuple(_ablation()), "sensitivity": tuple(_sensitivity())}
+
+
+def all_cells() -> list[Cell]:
+    """Every cell of every table, each once."""
+    return list(dict.fromkeys(entry.cell for table in TABLES.values() for entry in table))
+
+
+def select(tables: str | None, tasks: str | None, targets: str | None) -> list[Cell]:
+    """Cells of some tables, tasks and targets (lists such as `a,b`; None for all); the source comes with the main table.
+
+    Raises:
+        CEIError: an unknown name (the message lists the valid ones), or nothing is left.
+    """
+    entries = [entry for name in _names("table", tables, TABLES) for entry in TABLES[name]]
+    wanted_tasks, wanted_targets = _names("task", tasks, TASKS), [SOURCE, *_names("target", targets, TARGETS)]
+    cells = {e.cell: None for e in entries if e.cell.task in wanted_tasks and e.cell.target in wanted_targets}
+    if not cells:
+        there = (dict.fromkeys(names) for names in zip(*((e.cell.task, e.cell.target) for e in entries), strict=True))
+        raise CEIError(f"--tables={tables} has none of these cells. It has: {'; '.join(map(', '.join, there))}.")
+    return list(cells)
+
+
+def _names(kind: str, text: str | None, valid: Iterable[str]) -> list[str]:
+    names = list(valid) if text is None else [name.strip() for name in text.strip("[] ").split(",")]
+    for name in names:
+        if name not in valid:
+            raise unknown(kind, name, valid)
+    return names

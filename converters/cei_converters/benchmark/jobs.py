@@ -1,0 +1,107 @@
+"""What a worker does: record a task's source demonstrations; convert them for a target and replay them."""
+
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from cei_converters.benchmark.cells import SOURCE, VARIANTS, Cell
+from cei_converters.cli import DatasetConfig, parse
+from cei_converters.convert import ConvertConfig, convert
+from cei_converters.metadata import METADATA_PATH, Metadata
+from cei_converters.provenance import git_commit
+from cei_converters.record import RecordConfig, record
+from cei_converters.replay import ReplayConfig, replay
+from cei_converters.report import physics_exceptions
+from cei_gym.embodiment import load_embodiment
+from cei_gym.errors import CEIError
+
+# Nothing but joints is replayed, and they do not depend on the clouds that a policy would see: a third of a conversion.
+JOINTS_ONLY = ("--transfer.robot_points=256", "--transfer.cloud_points=16")
+
+
+def record_source(task: str, folder: Path, seeds: range) -> list[int]:
+    """Record the source's demonstrations of a task, unless this very commit already has.
+
+    Returns:
+        Seeds that the expert failed with, which are left out.
+
+    Raises:
+        CEIError: it failed with all.
+    """
+    root = _root(Cell(task, SOURCE), folder)
+    if not _is_current(root):
+        shutil.rmtree(root.parent, ignore_errors=True)
+        try:
+            record(RecordConfig(f"CEI-{task}-{SOURCE}", _repo_id(root), str(root), len(seeds), seeds[0]))
+        except CEIError:  # the expert failed; what did succeed is there
+            if not root.exists():
+                raise
+    return sorted(set(seeds) - set(_seeds(root)))
+
+
+def run_cell(cell: Cell, folder: Path, keep_dataset: bool) -> dict[str, Any]:
+    """Convert the source's demonstrations and replay them; with stock physics too if the method is not varied.
+
+    Args:
+        cell: what to run.
+        folder: holds the source's dataset, and the cell's own while it runs.
+        keep_dataset: leave the cell's own there.
+
+    Returns:
+        The cell's JSON but for what `Results` and the command add.
+
+    Raises:
+        CEIError: as `convert` and `replay`.
+    """
+    source, root = _root(Cell(cell.task, SOURCE), folder), _root(cell, folder)
+    seconds: dict[str, float] = {}
+    found: dict[str, Any] = {"source_seeds": _seeds(source)}
+    if root != source:
+        shutil.rmtree(root.parent, ignore_errors=True)  # left by a run that was stopped
+        options = [
+            *(f"--dataset.repo_id={_repo_id(source)}", f"--dataset.root={source}", f"--target={cell.target}"),
+            *(f"--new_repo_id={_repo_id(root)}", f"--new_root={root}", "--allow_unreachable"),
+            *(() if keep_dataset else JOINTS_ONLY),
+            *VARIANTS[cell.variant],
+        ]
+        converted = _timed(seconds, "convert", lambda: convert(parse(ConvertConfig, options, "cei-convert", "")))
+        found["alignment"] = converted["results"]
+    dataset = DatasetConfig(_repo_id(root), str(root))
+    found["replay"] = _timed(seconds, "replay", lambda: replay(ReplayConfig(dataset, video_episodes=0)))
+    if cell.variant == "cei":
+        config = ReplayConfig(dataset, stock_physics=True, video_episodes=0)
+        found["stock_replay"] = _timed(seconds, "stock_replay", lambda: replay(config))
+    if root != source and not keep_dataset:
+        shutil.rmtree(root.parent)
+    physics = physics_exceptions(load_embodiment(cell.target))
+    return found | {"physics_exceptions": physics, "seconds": {k: round(s, 1) for k, s in seconds.items()}}
+
+
+def _root(cell: Cell, folder: Path) -> Path:
+    """A cell's dataset, in a folder of its own."""
+    return folder / cell.name / "dataset"
+
+
+def _repo_id(root: Path) -> str:
+    return f"cei-benchmark/{root.parent.name}"
+
+
+def _is_current(root: Path) -> bool:
+    """Whether a source is there and no code has changed since it was recorded."""
+    commit = git_commit()
+    if not (root / METADATA_PATH).exists() or (commit or "").endswith("-dirty"):
+        return False
+    return Metadata.load(root).provenance.git_commit == commit
+
+
+def _seeds(root: Path) -> list[int]:
+    return [episode["seed"] for episode in Metadata.load(root).episodes]
+
+
+def _timed[Result](seconds: dict[str, float], name: str, call: Callable[[], Result]) -> Result:
+    start = time.perf_counter()
+    result = call()
+    seconds[name] = time.perf_counter() - start
+    return result

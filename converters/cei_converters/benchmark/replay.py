@@ -1,0 +1,134 @@
+"""`cei-benchmark replay`: how often transferred demonstrations succeed in physics, beside the paper's figures."""
+
+import contextlib
+import math
+import os
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from cei_converters.benchmark.cells import SOURCE, Cell, select
+from cei_converters.benchmark.results import Results
+from cei_converters.cli import run
+from cei_converters.quality import PIPE_WIDTH
+from cei_gym.errors import CEIError
+
+EXAMPLE = """example:
+  cei-benchmark replay
+  cei-benchmark replay --tasks=PickCube --targets=IIWA-Inspire,UR5e-FourierRight --episodes=2 --results=outputs/smoke"""
+# so that the cores finish together
+LONGEST_FIRST = ("StackCube", "OpenDrawer", "PickCube")
+
+
+@dataclass
+class ReplayBenchmarkConfig:
+    """Replay success of transferred demonstrations, beside the paper's; finished cells are skipped, so it resumes."""
+
+    episodes: int = 20  # Demonstrations a task.
+    seed: int = 1000  # Of the first one; development uses 0 to 999.
+    tables: str | None = None  # Such as main,ablation; default: these and sensitivity.
+    tasks: str | None = None  # Such as PickCube,StackCube; default: all.
+    targets: str | None = None  # Such as IIWA-Inspire,UR5e-FourierRight; default: all.
+    results: str = "results/replay"  # Folder for a JSON a cell, tables and the heat map.
+    work: str = "outputs/replay-benchmark"  # Folder for datasets.
+    jobs: int | None = None  # Cells at a time, up to 4 GB of memory each; default: one a core.
+    keep_datasets: bool = False  # Keep converted datasets, not only the recorded ones.
+    redraw: bool = False  # Run nothing: tables and heat map of the cells that are finished.
+
+
+def replay_benchmark(config: ReplayBenchmarkConfig) -> None:
+    """Run the cells that are not finished; write and print the tables.
+
+    Raises:
+        CEIError: bad options, cells of other settings in the way, or some cell failed (the others are kept).
+    """
+    for name in ("episodes", "jobs"):
+        if (value := getattr(config, name)) is not None and value < 1:
+            raise CEIError(f"--{name}={value}: at least 1.")
+    cells = select(config.tables, config.tasks, config.targets)
+    results = Results(Path(config.results), range(config.seed, config.seed + config.episodes))
+    finished = results.read_all()  # the others too: all of them make the tables
+    errors = []
+    if not config.redraw:
+        results.folder.mkdir(parents=True, exist_ok=True)
+        errors = _run([cell for cell in cells if cell not in finished], results, config)
+    for error in errors:
+        print(f"error: {error}", file=sys.stderr)
+    _draw(results)
+    if errors:
+        raise CEIError(f"{len(errors)} failed, see above; the same command runs them again.")
+
+
+def _run(cells: list[Cell], results: Results, config: ReplayBenchmarkConfig) -> list[str]:
+    """Run cells and keep their results; returns what went wrong, one line each."""
+    from cei_converters.benchmark.jobs import record_source, run_cell
+    from cei_converters.benchmark.runner import Job, run_jobs
+    from cei_converters.progress import progress_bar
+    from cei_converters.provenance import PACKAGES, git_commit, versions
+
+    folder = Path(config.work) / f"{config.seed}-{config.episodes}"
+    jobs = []
+    for task in sorted({cell.task for cell in cells}, key=LONGEST_FIRST.index):
+        then = tuple(Job(c.name, run_cell, (c, folder, config.keep_datasets)) for c in cells if c.task == task)
+        jobs.append(Job(f"{task}, recording {SOURCE}", record_source, (task, folder, results.seeds), then))
+    # now, since results that are under version control will change
+    made_by = {"commit": git_commit(), "versions": versions(PACKAGES)}
+    errors = []
+    with (
+        progress_bar("cells") as progress,
+        contextlib.closing(run_jobs(jobs, config.jobs or os.cpu_count() or 1)) as runs,
+    ):
+        progress.speed_estimate_period = math.inf  # a cell takes a minute or more
+        bar = progress.add_task("replaying", total=len(cells))
+        for outcome in runs:
+            job, found = outcome.job, outcome.result
+            if outcome.error is not None:
+                waiting = f" ({len(job.then)} cells wait for it)" if job.then else ""
+                line = f"{job.name}: {outcome.error}{waiting}"
+                errors.append(line)
+            elif job.call is record_source:
+                left_out = f"; the expert failed with {', '.join(map(str, found))}" if found else ""
+                line = f"{job.name}: done{left_out}"
+            else:
+                cell = job.args[0]
+                results.write(cell, found | made_by | {"date": datetime.now(UTC).isoformat(timespec="seconds")})
+                line = f"{cell.name}: {_line(found)}"
+                progress.advance(bar)
+            progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
+    return errors
+
+
+def _line(found: dict[str, Any]) -> str:
+    replay, stock = found["replay"], found.get("stock_replay")
+    beside = f", stock physics {stock['successes']}" if stock else ""
+    return f"{replay['successes']} of {replay['episodes']}{beside} ({sum(found['seconds'].values()):.0f} s)"
+
+
+def _draw(results: Results) -> None:
+    """Tables and heat map of all finished cells.
+
+    Raises:
+        CEIError: there is none.
+    """
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    from cei_converters.benchmark.heat_map import write_heat_map
+    from cei_converters.benchmark.tables import markdown, write_csv
+
+    found = results.read_all()
+    if not found:
+        raise CEIError(f"no cell is finished in {results.folder}.")
+    text = markdown(found)
+    write_csv(found, results.folder)
+    (results.folder / "replay.md").write_text(text + "\n")
+    write_heat_map(found, results.folder / "heat_map.png")
+    Console(width=None if sys.stdout.isatty() else PIPE_WIDTH).print(Markdown(text))
+    print(f"Wrote replay.md, heat_map.png and CSV tables to {results.folder}.")
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `cei-benchmark replay`."""
+    return run(ReplayBenchmarkConfig, replay_benchmark, args, prog="cei-benchmark replay", example=EXAMPLE)

@@ -1,0 +1,68 @@
+"""The folder of finished cells, one JSON each, all made from the same demonstrations."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cei_converters.benchmark.cells import VARIANTS, Cell, all_cells
+from cei_converters.result import write_json
+from cei_gym.errors import CEIError, one_line
+
+
+@dataclass(frozen=True)
+class Results:
+    """Finished cells.
+
+    Attributes:
+        folder: where they are.
+        seeds: of the demonstrations.
+    """
+
+    folder: Path
+    seeds: range
+
+    def path(self, cell: Cell) -> Path:
+        """File of a cell."""
+        return self.folder / f"{cell.name}.json"
+
+    def settings(self, cell: Cell) -> dict[str, Any]:
+        """What a finished cell must have been made with to count."""
+        seeds = [self.seeds[0], self.seeds[-1]]
+        names = {"task": cell.task, "target": cell.target, "variant": cell.variant}
+        return {"seeds": seeds, **names, "options": VARIANTS[cell.variant]}
+
+    def read(self, cell: Cell) -> dict[str, Any] | None:
+        """A finished cell; None if it is not.
+
+        Raises:
+            CEIError: it was made with other settings, or cannot be read.
+        """
+        path = self.path(cell)
+        try:
+            found = json.loads(path.read_text())
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            raise CEIError(f"{path} cannot be read ({one_line(error)}); remove it.") from error
+        for key, ours in self.settings(cell).items():
+            theirs = found.get(key) if isinstance(found, dict) else None
+            if theirs != ours:
+                raise CEIError(
+                    f"{path} was made with other settings ({key}: {theirs}, here {ours}); "
+                    "remove it or choose another folder with --results."
+                )
+        return found
+
+    def read_all(self) -> dict[Cell, dict[str, Any]]:
+        """All finished cells.
+
+        Raises:
+            CEIError: as for `read`.
+        """
+        found = {cell: self.read(cell) for cell in all_cells()}
+        return {cell: result for cell, result in found.items() if result is not None}
+
+    def write(self, cell: Cell, result: dict[str, Any]) -> None:
+        """Keep a cell, in one go."""
+        write_json(str(self.path(cell)), self.settings(cell) | result)

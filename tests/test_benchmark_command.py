@@ -1,0 +1,281 @@
+"""`cei-benchmark replay` through the real command: four cells, one of which fails at first, and what it makes of them."""
+
+import contextlib
+import csv
+import io
+import json
+import multiprocessing
+import os
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cei_converters.benchmark import command, jobs, paper
+from cei_converters.benchmark.cells import END_EFFECTORS, TABLES, TASKS, Cell, all_cells
+from cei_converters.benchmark.heat_map import write_heat_map
+from cei_converters.benchmark.results import Results
+from cei_converters.benchmark.runner import Job, run_jobs
+from cei_converters.benchmark.tables import averages, markdown, shown
+from cei_converters.cli import DatasetConfig
+from cei_converters.convert import ConvertConfig, convert
+from cei_gym.embodiment import ARMS
+from cei_gym.errors import CEIError
+
+PAPER = Path(__file__).parents[2] / "shared/paper"
+CELLS = ["PickCube-IIWA-Inspire", "PickCube-IIWA-Inspire-bms", "PickCube-IIWA-Inspire-no_direction"]
+SOURCE_CELL, RECORDING = "PickCube-Panda-PandaGripper", "PickCube, recording Panda-PandaGripper"
+BROKEN = CELLS[2]
+SMOKE = ["replay", "--tasks=PickCube", "--targets=IIWA-Inspire", "--episodes=1", "--seed=3", "--jobs=1"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`results` and `work` of four cells: a run in which one failed (stderr: first.txt), then another (second.txt)."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    work = folder / "work/3-1"
+    (work / CELLS[0] / "dataset").mkdir(parents=True)  # left by a run that was stopped: no obstacle
+    (work / BROKEN).write_text("in the way of the cell's folder")
+    for name, code in (("first", 1), ("second", 0)):
+        with contextlib.redirect_stderr(io.StringIO()) as printed:
+            assert command.main([*SMOKE, *folders(folder)]) == code
+        (folder / f"{name}.txt").write_text(printed.getvalue())
+        (work / BROKEN).unlink(missing_ok=True)
+    return folder
+
+
+def folders(folder: Path) -> list[str]:
+    return [f"--results={folder / 'results'}", f"--work={folder / 'work'}"]
+
+
+def cell_of(folder: Path, name: str) -> dict:
+    return json.loads((folder / f"results/{name}.json").read_text())
+
+
+def rows(folder: Path, table: str) -> list[dict[str, str]]:
+    with (folder / f"{table}.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_cell_that_fails_is_named_and_leaves_the_others_intact(folder: Path) -> None:
+    *progress, error, summary = (folder / "first.txt").read_text().splitlines()
+    assert error.startswith(f"error: {BROKEN}: FileExistsError")
+    assert summary == "error: 1 failed, see above; the same command runs them again."
+    assert [line.split(":")[0] for line in progress] == [RECORDING, SOURCE_CELL, *CELLS]
+
+
+def test_it_resumes_and_runs_only_what_is_missing(folder: Path) -> None:
+    lines = (folder / "second.txt").read_text().splitlines()
+    assert [line.split(":")[0] for line in lines] == [RECORDING, BROKEN]
+    for name in (SOURCE_CELL, *CELLS):
+        assert cell_of(folder, name)["replay"]["episodes"] == 1
+    assert {path.name for path in (folder / "work/3-1").iterdir()} == {SOURCE_CELL}  # the others' datasets are gone
+
+
+def test_nothing_runs_where_all_is_finished(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    start = time.perf_counter()
+    assert command.main([*SMOKE, *folders(folder)]) == 0
+    assert time.perf_counter() - start < 10
+    assert capsys.readouterr().err == ""
+
+
+def test_a_cell_says_how_it_was_made(folder: Path) -> None:
+    plain, bms, no_direction, source = (cell_of(folder, name) for name in (*CELLS, SOURCE_CELL))
+    assert (plain["task"], plain["target"], plain["variant"]) == ("PickCube", "IIWA-Inspire", "cei")
+    assert (plain["options"], bms["options"]) == ([], ["--transfer.method=bms"])
+    assert no_direction["options"] == ["--solver.lambda_m=0"]
+    assert plain["seeds"] == [3, 3]
+    assert plain["source_seeds"] == [3]
+    assert plain["versions"]["robosuite"]
+    assert plain["date"]
+    assert plain["seconds"].keys() == {"convert", "replay", "stock_replay"}
+    assert (plain["replay"]["stock_physics"], plain["stock_replay"]["stock_physics"]) == (False, True)
+    assert "no_self_contact" in {exception["kind"] for exception in plain["physics_exceptions"]}
+    assert "stock_replay" not in bms
+    assert bms["alignment"][0]["pad_distance_mm_mean"] > plain["alignment"][0]["pad_distance_mm_mean"]
+    assert plain["replay"]["successes"] == source["replay"]["successes"] == 1
+    assert "alignment" not in source
+
+
+def test_joints_are_those_of_a_plain_conversion(folder: Path) -> None:
+    """Though clouds are cut short."""
+    source = DatasetConfig("me/source", str(folder / "work/3-1" / SOURCE_CELL / "dataset"))
+    converted = convert(ConvertConfig(source, "IIWA-Inspire", dry_run=True))
+    assert cell_of(folder, CELLS[0])["alignment"] == converted["results"]
+
+
+@pytest.mark.parametrize(("commit", "reused"), [("abc", True), ("abd", False), ("abc-dirty", False)])
+def test_a_source_is_recorded_again_after_a_change_of_code(
+    folder: Path, commit: str, reused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def record(_: object) -> None:
+        raise CEIError("recorded again")
+
+    source = tmp_path / SOURCE_CELL / "dataset"
+    shutil.copytree(folder / "work/3-1" / SOURCE_CELL / "dataset/meta", source / "meta")
+    metadata = json.loads((source / "meta/cei.json").read_text())
+    metadata["provenance"]["git_commit"] = commit.replace("abd", "abc")
+    (source / "meta/cei.json").write_text(json.dumps(metadata))
+    monkeypatch.setattr(jobs, "git_commit", lambda: commit)
+    monkeypatch.setattr(jobs, "record", record)
+    if reused:  # 4 is missing, as if the expert had failed with it
+        assert jobs.record_source("PickCube", tmp_path, range(3, 5)) == [4]
+    else:
+        with pytest.raises(CEIError, match="recorded again"):
+            jobs.record_source("PickCube", tmp_path, range(3, 5))
+
+
+def test_redraw_makes_the_tables_of_what_there_is(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    for path in (folder / "results").glob("*.json"):
+        shutil.copy(path, tmp_path)
+    assert command.main(["replay", "--redraw", "--episodes=1", "--seed=3", f"--results={tmp_path}"]) == 0
+    main = {(row["arm"], row["end_effector"]): row for row in rows(tmp_path, "replay")}
+    assert set(main) == {("IIWA", "Inspire"), ("Panda", "PandaGripper")}
+    assert main["IIWA", "Inspire"]["paper_percent"] == "45"
+    assert {"CEI", "BMS", "without direction"} == {row["method"] for row in rows(tmp_path, "ablation")}
+    assert rows(tmp_path, "sensitivity") == []
+    text = (tmp_path / "replay.md").read_text()
+    assert "/ 45 |" in text
+    assert "1 of 16" in text
+    assert "PickCube" in capsys.readouterr().out
+    assert Image.open(tmp_path / "heat_map.png").size[0] > 1000
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("--seed=4", ".json was made with other settings (seeds: [3, 3], here [4, 4]); remove it or"),
+        ("--tasks=PickCub", "unknown task 'PickCub'. Did you mean 'PickCube'? Valid: OpenDrawer, PickCube"),
+        ("--targets=IIWA", "Valid: UR5e-FourierRight, IIWA-FourierRight"),
+        ("--tables=man", "unknown table 'man'. Did you mean 'main'? Valid: main, ablation, sensitivity."),
+        ("--tables=sensitivity --tasks=StackCube", "It has: PickCube; UR5e-FourierRight."),
+        ("--jobs=0", "--jobs=0: at least 1."),
+        ("--results=nowhere --redraw", "no cell is finished in nowhere."),
+    ],
+)
+def test_bad_input_is_one_clear_line(folder: Path, option: str, message: str, capsys: pytest.CaptureFixture) -> None:
+    assert command.main(["replay", "--episodes=1", *folders(folder), *option.split()]) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_an_unknown_benchmark_lists_the_valid_ones(capsys: pytest.CaptureFixture) -> None:
+    assert command.main(["polcy"]) == 2
+    assert capsys.readouterr().err == "error: unknown benchmark 'polcy'. Valid: replay.\n"
+
+
+def test_help_names_the_benchmarks(capsys: pytest.CaptureFixture) -> None:
+    assert command.main([]) == command.main(["--help"]) == 0
+    assert "replay" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("content", ["{", "[]", "{}"])
+def test_a_strange_file_is_named(content: str, tmp_path: Path) -> None:
+    (tmp_path / "PickCube-IIWA-Inspire.json").write_text(content)
+    with pytest.raises(CEIError, match=r"PickCube-IIWA-Inspire\.json"):
+        Results(tmp_path, range(3, 4)).read_all()
+
+
+# -- what there is to run, and the paper's figures ----------------------------------------------------------------
+
+
+def test_cells_are_those_of_the_papers_tables() -> None:
+    assert len(TABLES["main"]) == 3 * (16 + 1)
+    assert len(TABLES["ablation"]) == 3 * 4 * 3
+    assert len(TABLES["sensitivity"]) == 3
+    assert len(all_cells()) == 51 + 3 * 4 * 2 + 2
+
+
+@pytest.mark.skipif(not PAPER.exists(), reason="needs ../shared/paper")
+def test_the_papers_figures_are_the_papers() -> None:
+    names = {"FourierRightHand": "FourierRight", "InspireRightHand": "Inspire", "FourierLeftHand": "FourierLeft"}
+    with (PAPER / "replay_success.csv").open() as file:
+        for row in csv.DictReader(file):
+            figures = paper.REPLAY[row["task"]][names.get(row["end_effector"], row["end_effector"])]
+            assert figures == {arm: int(row[arm.lower()]) for arm in ARMS}
+    with (PAPER / "replay_ablation.csv").open() as file:
+        for task, method, *figures, _ in list(csv.reader(file))[1:]:
+            assert paper.ABLATION[task][method.removeprefix("CEI ")] == tuple(map(int, figures))
+    with (PAPER / "representation_sensitivity.csv").open() as file:
+        for representation, success in list(csv.reader(file))[1:]:
+            assert paper.SENSITIVITY[representation.lower()] == 5 * int(success.removesuffix("/20"))
+
+
+# -- tables and picture, of made-up cells -------------------------------------------------------------------------
+
+
+def made_up(successes: int, stock: int) -> dict:
+    replay = {"episodes": 20, "interval_95": [0, 1], "failures": {}}
+    return {
+        "commit": "c",
+        "replay": replay | {"successes": successes},
+        "stock_replay": replay | {"successes": stock},
+    }
+
+
+def test_averages_compare_with_the_paper_over_the_same_cells() -> None:
+    found = {Cell("PickCube", "UR5e-FourierRight"): made_up(20, 10), Cell("PickCube", "IIWA-Inspire"): made_up(10, 0)}
+    assert averages(found, "PickCube") == (75, 25, (81 + 45) / 2)
+    assert averages(found, "StackCube") == (None, None, None)
+    text = markdown(found)
+    assert "| PickCube | 75 | 25 | 63 | 2 of 16 | - |" in text
+    assert "| FourierRight | 100 / 50 / 81 | - / - / 72 |" in text
+    assert "| PickCube | CEI | 100 / 81 | 50 / 45 | - / 81 | - / 52 | - / 65 |" in text
+    assert "| PickCube, UR5e-FourierRight | 100 / 85 | - / 90 | - / 80 |" in text
+    assert shown(94.5) == "95"  # as the paper rounds
+
+
+def test_the_heat_map_frames_what_is_below_the_paper_and_leaves_missing_cells_blank(tmp_path: Path) -> None:
+    cells = [Cell(task, f"{arm}-{end_effector}") for task in TASKS for end_effector in END_EFFECTORS for arm in ARMS]
+
+    def drawn(found: dict[Cell, dict]) -> np.ndarray:
+        write_heat_map(found, tmp_path / "map.png")
+        return np.asarray(Image.open(tmp_path / "map.png").convert("RGB")).astype(int)
+
+    def red(picture: np.ndarray) -> int:
+        return int(((picture[..., 0] > 180) & (picture[..., 1] < 80) & (picture[..., 2] < 80)).sum())
+
+    def blue(picture: np.ndarray) -> int:
+        return int((picture[..., 2] - picture[..., 0] > 60).sum())
+
+    good, bad, none = (
+        drawn(found)
+        for found in (
+            {c: made_up(20, 20) for c in cells},
+            {c: made_up(20, 20) for c in cells} | {cells[0]: made_up(1, 1)},
+            {},
+        )
+    )
+    assert red(good) == red(none) == blue(none) == 0
+    assert red(bad) > 500
+    assert blue(good) > 40 * 10_000
+
+
+# -- parallel processes -------------------------------------------------------------------------------------------
+
+
+def test_jobs_follow_their_first_one_only_if_it_succeeds() -> None:
+    follower = Job("follower", len, ("ab",))
+    jobs = [Job("good", len, ("a",), (follower,)), Job("bad", int, ("x",), (Job("never", len, ("",)),))]
+    outcomes = {outcome.job.name: outcome for outcome in run_jobs(jobs, 2)}
+    assert outcomes.keys() == {"good", "follower", "bad"}
+    assert outcomes["follower"].result == 2
+    assert "ValueError: invalid literal" in (outcomes["bad"].error or "")
+
+
+def test_closing_stops_what_runs_at_once() -> None:
+    runs = run_jobs([Job("short", len, ("a",)), Job("long", time.sleep, (60,))], 2)
+    start = time.perf_counter()
+    with contextlib.closing(runs):
+        assert next(runs).job.name == "short"
+    assert time.perf_counter() - start < 30
+    assert not multiprocessing.active_children()
+
+
+def test_a_worker_that_dies_is_an_error_not_a_wait() -> None:
+    with pytest.raises(CEIError, match="a worker died"):
+        list(run_jobs([Job("dies", os._exit, (1,))], 1))
