@@ -47,6 +47,7 @@ _TOLERATED_M = 0.005  # of penetration, and of contact points that miss the sour
 _ABOVE_SUPPORT_M = 0.005
 _NEAR_HAND_M = 0.2  # what is farther from the source's pads is no obstacle
 _CARRIED_M = 0.005
+_OTHER_SQUEEZES = (0.5, 1.5)
 _AT_REST = 0.02  # rad/s or m/s: a finger slower than this has stopped
 
 
@@ -85,6 +86,28 @@ class TransferOptions:
             raise unknown("transfer.representation", self.representation, VARIANTS)
         if not 1 <= self.stretch < np.inf:
             raise CEIError(f"transfer.stretch={self.stretch} must be at least 1.")
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One way of transferring a demonstration, for callers that can tell whether it worked; by default the plain one.
+
+    Attributes:
+        basin: which of the finalists of `Transfer.fit` to start from, best first; None for the mode's own.
+        squeeze: factor on how far actions squeeze.
+        representation: which points stand for a pad; None for those of the options.
+    """
+
+    basin: int | None = None
+    squeeze: float = 1.0
+    representation: str | None = None
+
+    def __str__(self) -> str:
+        if self.basin is not None:
+            return f"basin {self.basin + 1}"
+        if self.representation is not None:
+            return f"pads {self.representation}"
+        return "plain" if self.squeeze == 1 else f"squeeze x{self.squeeze:g}"
 
 
 class Transfer:
@@ -132,6 +155,7 @@ class Transfer:
         self.basins: list[Basin] = []
         """One basin a mode, once fitted."""
         self._finalists: list[Basin] = []
+        self._other_pads: dict[str, Transfer] = {}
 
     def fit(self, demonstrations: Sequence[Demonstration]) -> None:
         """Choose where trajectories start, by following candidates through whole demonstrations.
@@ -155,12 +179,16 @@ class Transfer:
         self._finalists = judge_basins(self._follower, motions, np.array([b.u for b in few]))
         self.basins = choose_modes(self._finalists, self.init.modes)
 
-    def __call__(self, demonstration: Demonstration, mode: int = 0) -> tuple[Demonstration, AlignmentReport]:
+    def __call__(
+        self, demonstration: Demonstration, mode: int = 0, *, attempt: Attempt | None = None, clouds: bool = True
+    ) -> tuple[Demonstration, AlignmentReport]:
         """Transfer one demonstration.
 
         Args:
             demonstration: of the source.
             mode: which of the `init.modes` motions.
+            attempt: one of `attempts`; None for the plain one.
+            clouds: synthesise clouds too.
 
         Returns:
             The target's demonstration (state `q_t`, action `q_(t+1)`, synthesised cloud), and how well it follows.
@@ -174,15 +202,25 @@ class Transfer:
             )
         if not self.basins and self._manual is None:
             self.fit([demonstration])
+        attempt = attempt or Attempt()
+        if attempt.representation is not None:
+            other = self._with_pads(attempt.representation)
+            return other(demonstration, mode, attempt=replace(attempt, representation=None), clouds=clouds)
         scenes = self._scenes(demonstration)
         motion = self._motion(demonstration, scenes=scenes)
         if self._manual is not None:
             track = closing = self._specified(self._manual, demonstration, motion)
             report = self._report(motion, track)
         else:
-            frames, motion, track, report = self._follow(motion, mode)
+            if attempt.basin is None:
+                frames, motion, track, report = self._follow(motion, mode)
+            else:
+                followed = self._follow_from(self._finalists[attempt.basin], motion)
+                frames, motion, track = followed.frames, followed.motion, followed.track
+                report = self._report(motion, track)
             demonstration, scenes = demonstration.at(frames), [scenes[t] for t in frames] if scenes else scenes
-            closing = replace(track, u=squeeze(self.problem, track.u, self._squeeze_m(demonstration, motion)))
+            depth_m = attempt.squeeze * self._squeeze_m(demonstration, motion)
+            closing = replace(track, u=squeeze(self.problem, track.u, depth_m))
         qpos = self.target.coupled.expand(track.u)
         # a_t = q_(t+1); the last frame holds.
         action = self.target.coupled.expand(np.concatenate([closing.u[1:], closing.u[-1:]]))
@@ -195,10 +233,24 @@ class Transfer:
                 action=action,
                 scene=replace(demonstration.scene, T_world_base=base),
                 depth_m={},
-                point_cloud_world=self._clouds(demonstration, scenes, qpos),
+                point_cloud_world=self._clouds(demonstration, scenes, qpos) if clouds else None,
             ),
             report,
         )
+
+    def attempts(self, most: int, mode: int = 0) -> list[Attempt]:
+        """What to try in turn, once fitted, for a demonstration that goes wrong in physics.
+
+        In order: plain; from the other finalists, best first; squeezing less and more; with other points on the pads.
+        Where that is more than `most`, it is finalists that are left out, so that each kind has its turn.
+        """
+        if self._manual is not None:
+            return [Attempt()]
+        own = self.basins[mode % len(self.basins)]
+        basins = [Attempt(basin=i) for i, basin in enumerate(self._finalists) if basin is not own]
+        pads = "standard" if self.options.representation == "reduced" else "reduced"
+        rest = [*(Attempt(squeeze=factor) for factor in _OTHER_SQUEEZES), Attempt(representation=pads)]
+        return [Attempt(), *basins[: max(1, most - 1 - len(rest))], *rest][:most]
 
     def stream(self, dt_s: float | None = None, T_target_source: np.ndarray | None = None) -> "LiveTransfer":
         """Retarget live, one configuration of the source at a time, from where `fit` starts.
@@ -214,6 +266,16 @@ class Transfer:
     def place_source(self, qpos: np.ndarray, T_target_source: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The source's points and normals (..., N, 3) in the target's base frame, at (..., n) joint positions."""
         return self.source_representation.place(T_target_source @ self._source_tree.forward(qpos))
+
+    def _with_pads(self, representation: str) -> "Transfer":
+        """This transfer with other points on the pads; it starts where this one does."""
+        if representation not in self._other_pads:
+            options = replace(self.options, representation=representation)
+            embodiments = self.source, self.target
+            other = Transfer(*embodiments, options, self.solver_options, self.init, self.contact, self._T_world_target)
+            other.basins, other._finalists = self.basins, self._finalists
+            self._other_pads[representation] = other
+        return self._other_pads[representation]
 
     def _follow(self, motion: Motion, mode: int) -> tuple[np.ndarray, Motion, Track, AlignmentReport]:
         """Follow a motion from its mode's basin, or from the best of the others where that goes wrong."""

@@ -8,8 +8,9 @@ from cei_gym.embodiment.meshes import outermost
 from cei_gym.functional.representation import FunctionalRepresentation, pad_mesh
 from cei_gym.kinematics.tree import KinematicTree
 
-SOFTNESS_M = 1e-3  # how deep a vertex still touches what the farthest touches
-_LEAST_OPPOSITION = 0.7  # rad between the mean normals of two sides that close on each other
+SOFTNESS_M = 1e-2  # how deep a vertex still touches what the farthest touches
+_POSES = 11  # from open to closed, where opposition is looked for
+_LEAST_OPPOSITION_RAD = 0.7  # between the mean normals of two sides that close on each other
 
 
 @dataclass(frozen=True)
@@ -45,25 +46,30 @@ class Grip:
 
 
 def opposing_sides(representation: FunctionalRepresentation, tree: KinematicTree) -> np.ndarray | None:
-    """(N,) side, 0 or 1, of each pair: pads whose normals face each other when the hand is closed.
+    """(N,) side, 0 or 1, of each pair: pads whose normals face each other somewhere between open and closed.
 
     Returns:
         None where no two pads close on each other.
     """
     embodiment = representation.embodiment
-    closed = np.concatenate([embodiment.home[: embodiment.n_arm], embodiment.closed[embodiment.n_arm :]])
-    _, normals = representation.place(tree.forward(closed))
+    share = np.linspace(0, 1, _POSES)[:, None]
+    qpos = np.repeat(embodiment.home[None], _POSES, axis=0)
+    hand = slice(embodiment.n_arm, None)
+    qpos[:, hand] += share * (embodiment.closed - embodiment.home)[hand]
+    _, normals = representation.place(tree.forward(qpos))
     bodies, pad = np.unique(representation.body, return_inverse=True)
-    mean = np.array([normals[pad == i].mean(axis=0) for i in range(len(bodies))])
-    mean /= np.linalg.norm(mean, axis=1, keepdims=True)
-    spread = mean - mean.mean(axis=0)
+    mean = np.stack([normals[:, pad == i].mean(axis=1) for i in range(len(bodies))], axis=1)
+    mean /= np.linalg.norm(mean, axis=2, keepdims=True)
+    spread = mean - mean.mean(axis=1, keepdims=True)
+    widest = np.square(spread).sum(axis=(1, 2)).argmax()
+    mean, spread = mean[widest], spread[widest]
     along = spread @ np.linalg.svd(spread, full_matrices=False)[2][0]
     side = (along > 0) != (along[0] > 0)
-    if side.all() or not side.any():
+    if not side.any():
         return None
     one, two = mean[~side].mean(axis=0), mean[side].mean(axis=0)
     cosine = one @ two / (np.linalg.norm(one) * np.linalg.norm(two))
-    return side[pad].astype(np.int64) if cosine < np.cos(_LEAST_OPPOSITION) else None
+    return side[pad].astype(np.int64) if cosine < np.cos(_LEAST_OPPOSITION_RAD) else None
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from cei_gym.alignment.kernels.quadratic import add_contact, project
 from cei_gym.alignment.kernels.step import take_step
 from cei_gym.alignment.kernels.target import empty_pose
 
-_SOFTNESS_M = 1e-3  # as in `cei_gym.alignment.grip`
+_SOFTNESS_M = 1e-2  # as in `cei_gym.alignment.grip`
 _DAMPING = 1e-3
 _DAMPING_TRIES = 6
 
