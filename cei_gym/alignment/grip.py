@@ -8,7 +8,7 @@ from cei_gym.embodiment.meshes import outermost
 from cei_gym.functional.representation import FunctionalRepresentation, pad_mesh
 from cei_gym.kinematics.tree import KinematicTree
 
-SOFTNESS_M = 1e-2  # how deep a vertex still touches what the farthest touches
+SOFTNESS_M = 1e-2  # how deep below the farthest a vertex still counts for where, across, a pad touches
 _POSES = 11  # from open to closed, where opposition is looked for
 _LEAST_OPPOSITION_RAD = 0.7  # between the mean normals of two sides that close on each other
 
@@ -121,9 +121,12 @@ def source_grip(
     for body, side, vertices in zip(pads.body, pads.side, pads.vertices_link, strict=True):
         T = T_base_links[:, body]
         points = np.einsum("tij,vj->tvi", T[:, :3, :3], vertices) + T[:, None, :3, 3]
-        depth = np.einsum("tvi,ti->tv", points, axis if side == 0 else -axis)
-        weight = np.exp((depth - depth.max(axis=1, keepdims=True)) / SOFTNESS_M)
+        pressing = axis if side == 0 else -axis
+        depth = np.einsum("tvi,ti->tv", points, pressing)
+        farthest = depth.max(axis=1, keepdims=True)
+        weight = np.exp((depth - farthest) / SOFTNESS_M)
         touched = np.einsum("tv,tvi->ti", weight, points) / weight.sum(axis=1, keepdims=True)
+        touched += (farthest - np.einsum("ti,ti->t", touched, pressing)[:, None]) * pressing
         contacts[:, side] += touched / (pads.side == side).sum()
     T_base_root = T_base_links[:, root]
     return Grip(axis, contacts, T_base_root[:, :3, 3], T_base_root[:, :3, :3], held)

@@ -1,7 +1,8 @@
 """One frame of the grasp's refinement: contact points that oppose each other as the source's did, compiled.
 
-A pad meets an object where its surface reaches farthest along the closing direction; a soft maximum over the pad's outermost
-vertices says where that is, so that it moves smoothly as the pad turns.
+A pad meets an object where its surface reaches farthest along the closing direction: so deep, and across in the middle of
+what lies about as deep (a soft maximum over its outermost vertices), so that the point moves smoothly as the pad turns, and
+the middle of a tilted pad is brought to the object rather than its edge.
 """
 
 from typing import NamedTuple
@@ -9,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from cei_gym.alignment.grip import SOFTNESS_M
 from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.frame import empty_memory
 from cei_gym.alignment.kernels.keep_out import KeepOut, nearest, penalise
@@ -16,7 +18,6 @@ from cei_gym.alignment.kernels.quadratic import add_contact, project
 from cei_gym.alignment.kernels.step import take_step
 from cei_gym.alignment.kernels.target import empty_pose
 
-_SOFTNESS_M = 1e-2  # as in `cei_gym.alignment.grip`
 _DAMPING = 1e-3
 _DAMPING_TRIES = 6
 
@@ -112,7 +113,7 @@ def contact_points(grasp, pose, axis, points):
         total, cx, cy, cz = 0.0, 0.0, 0.0, 0.0
         for v in range(grasp.start[p], grasp.start[p + 1]):
             x = grasp.vertices[v]
-            depth = (farthest - ax * x[0] - ay * x[1] - az * x[2]) / _SOFTNESS_M
+            depth = (farthest - ax * x[0] - ay * x[1] - az * x[2]) / SOFTNESS_M
             if depth < 8.0:
                 w = np.exp(-depth)
                 total += w
@@ -120,6 +121,8 @@ def contact_points(grasp, pose, axis, points):
                 cy += w * x[1]
                 cz += w * x[2]
         cx, cy, cz = cx / total, cy / total, cz / total
+        short = farthest - (ax * cx + ay * cy + az * cz)
+        cx, cy, cz = cx + short * ax, cy + short * ay, cz + short * az
         for i in range(3):
             points[p, i] = t[i] + R[i, 0] * cx + R[i, 1] * cy + R[i, 2] * cz
 
