@@ -83,6 +83,10 @@ class GraspRefiner:
             v @ attachment.rot[b].T + attachment.pos[b] for b, v in zip(pads.body, pads.vertices_link, strict=True)
         ]
         side = pads.side
+        normals = []
+        for body in pads.body:
+            mean = problem.representation.normals_link[problem.representation.body == body].mean(axis=0)
+            normals.append(attachment.rot[body] @ mean / np.linalg.norm(mean))
         root = next(i for i, name in enumerate(embodiment.body_names) if name.startswith(END_EFFECTOR_PREFIX))
         grasp = kernels.Grasp(
             joint=attachment.joint[pads.body],
@@ -90,9 +94,12 @@ class GraspRefiner:
             share=1.0 / np.where(side == 0, (side == 0).sum(), (side == 1).sum()),
             start=np.concatenate([[0], np.cumsum([len(v) for v in vertices])]).astype(np.int64),
             vertices=np.concatenate(vertices),
+            normals=np.stack(normals),
             palm=int(attachment.joint[root]),
             hand=np.flatnonzero(embodiment.coupled.independent >= embodiment.n_arm),
             opposition=float(c.opposition_weight),
+            facing=float(c.facing_weight),
+            approach=float(c.approach_weight),
             turning=float(c.turning_weight),
             carrying=float(c.carrying_weight),
             posture=float(c.posture_weight),

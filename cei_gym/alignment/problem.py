@@ -90,6 +90,9 @@ class ContactOptions:
     Attributes:
         opposition_weight: k of (k/2) r^2 for contact points r metres from the source's, 1/m: pads of one side in the mean
             across the closing direction, each by itself along it. 0 leaves trajectories as they were followed.
+        facing_weight: what a cosine of 1 between a pad's mean normal and the closing direction is worth, m.
+        approach_weight: k of (k/2) r^2 for an open hand r metres from where it will close, or has closed, against the source's
+            end-effector, 1/m: fingers close on an object, the palm does not have to follow them.
         turning_weight: k of (k/2) a^2 for a palm turned by a rad against the source's end-effector since it took hold, m.
             Pads look alike when they turn about the closing direction, but what they hold turns with them.
         carrying_weight: the same while something is held; fingers then stay as they are.
@@ -101,6 +104,8 @@ class ContactOptions:
     """
 
     opposition_weight: float = 1e3
+    facing_weight: float = 0.1
+    approach_weight: float = 250.0
     turning_weight: float = 0.5
     carrying_weight: float = 5.0
     posture_weight: float = 0.5

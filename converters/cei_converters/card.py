@@ -1,6 +1,7 @@
 """The dataset card: README.md of a recorded or converted dataset."""
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     sections = [
         _introduction(repo_id, metadata, info),
         _quality(metadata),
+        _verified(metadata),
         _layout(metadata, info),
         _usage(repo_id, metadata),
         _provenance(metadata),
@@ -89,6 +91,24 @@ def _quality(metadata: Metadata) -> str:
         return ""
     text = "## Quality of the alignment\n\nOver the episodes; per episode in "
     return text + f"`{METADATA_PATH}`.\n\n" + _table(("per episode", "mean", "least", "largest"), rows)
+
+
+def _verified(metadata: Metadata) -> str:
+    verdicts = [record["verified"] for record in metadata.episodes if "verified" in record]
+    if not verdicts:
+        return ""
+    dropped = metadata.provenance.options["verify"]["dropped"]
+    n = len(verdicts) + len(dropped)
+    kept = Counter(verdict["how"] if verdict["success"] else "fails" for verdict in verdicts)
+    text = (
+        f"## Verified in simulation\n\nEpisodes were replayed in `{metadata.environment.id}` as they were converted. The "
+        f"plain transfer succeeds in {kept['plain']} of {n}. Where it fails, others were tried: from another start, with "
+        f"another squeeze, with other points on the pads. With these, {len(verdicts) - kept['fails']} of {n} succeed. "
+    )
+    if dropped:
+        text += f"Left out are {len(dropped)} in which nothing did. "
+    text += f"Per episode in `{METADATA_PATH}`, under `verified`.\n\n"
+    return text + _table(("transfer", "episodes"), list(kept.items()))
 
 
 def _layout(metadata: Metadata, info: dict) -> str:

@@ -36,12 +36,17 @@ def option_types(config_cls: type, prefix: str = "") -> dict[str, object]:
 
 
 def _normalised(args: Sequence[str], options: dict[str, object]) -> list[str]:
-    """Check option names; spell a bare `--flag` of a boolean option as `--flag=true`."""
+    """Check option names; spell a bare `--flag` of a boolean option as `--flag=true`.
+
+    A group of options may go by the option that decides about it: `--init=eis` is `--init.method=eis`, and `--verify`
+    is `--verify.enabled=true`.
+    """
     normalised = []
     for position, arg in enumerate(args):
         name, has_value, _ = arg.removeprefix("--").partition("=")
-        if arg.startswith("--") and name not in options and f"{name}.method" in options:
-            arg, name = f"--{name}.method" + arg.removeprefix(f"--{name}"), f"{name}.method"  # --init=eis
+        for deciding in (f"{name}.method", f"{name}.enabled"):
+            if arg.startswith("--") and name not in options and deciding in options:
+                arg, name = f"--{deciding}" + arg.removeprefix(f"--{name}"), deciding
         if arg.startswith("--") and name not in ("help", "config_path"):
             if name not in options:
                 raise unknown("option", f"--{name}", (f"--{option}" for option in options))

@@ -10,6 +10,7 @@ import numpy as np
 from cei_converters.cli import DatasetConfig, run
 from cei_converters.options import parse_episodes, parse_pose
 from cei_converters.quality import check_reached, print_table
+from cei_converters.verify import Verdict, Verifier, VerifyOptions, check_kept, open_stage, sentence, summarise, without
 from cei_gym.alignment import ContactOptions, InitialisationOptions, SolverOptions
 from cei_gym.errors import CEIError, unknown
 from cei_gym.transfer import TransferOptions
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 EXAMPLE = """example:
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa
   cei-convert --dataset.repo_id=me/pick_panda --dataset.root=data/pick_panda --target=IIWA-Inspire \\
-      --episodes=0,3,5 --dry_run"""
+      --episodes=0,3,5 --dry_run
+  cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa --verify --verify.drop"""
 # the frame-0 basin is chosen on this many episodes, spread over the dataset, however large it is
 FIT_EPISODES = 8
 
@@ -49,16 +51,18 @@ class ConvertConfig:
     solver: SolverOptions = field(default_factory=SolverOptions)
     contact: ContactOptions = field(default_factory=ContactOptions)
     transfer: TransferOptions = field(default_factory=TransferOptions)
+    verify: VerifyOptions = field(default_factory=VerifyOptions)  # Replay and retry, with --verify.
 
 
 def convert(config: ConvertConfig) -> dict[str, Any]:
     """Convert a dataset; print a table of the quality of each episode.
 
     Returns:
-        The result: source, target, under `results` one entry an episode, under `residuals` the same frame by frame.
+        The result: source, target, under `results` one entry an episode, under `residuals` the same frame by frame,
+        under `verify` what replaying showed, if asked for. Episodes that verification drops are in the last only.
 
     Raises:
-        CEIError: bad options or data, or an episode that the target cannot reach.
+        CEIError: bad options or data, an episode that the target cannot reach, or none that verification keeps.
     """
     selection = parse_episodes(config.episodes)
     T_world_base = parse_pose("--source_pose", config.source_pose)
@@ -89,10 +93,20 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             config.contact,
             pose,
         )
-        entries, residuals = _transfer_episodes(config, reader, selected, transfer, writer)
+        verifier = None
+        if config.verify.enabled:
+            base = reader.scene.T_world_base if pose is None else pose
+            stage = open_stage(reader.repo_id, _environment(reader, config.target), config.target, base)
+            verifier = Verifier(transfer, stack.enter_context(stage), config.verify, config.allow_unreachable)
+        entries, residuals, verdicts = _transfer_episodes(config, reader, selected, transfer, writer, verifier)
+        print_table(_rows(entries, verdicts), f"{reader.embodiment.name} -> {config.target}")
+        summary = summarise(verdicts) if verifier is not None else None
+        if summary is not None:
+            print(f"Verification: {sentence(summary)}.")
+            check_kept(summary)
+            entries, residuals = (without(summary["dropped"], each) for each in (entries, residuals))
         if writer is not None:
-            writer.provenance = _with_choices(writer.provenance, transfer)
-        print_table(entries, f"{reader.embodiment.name} -> {config.target}")
+            writer.provenance = _with_choices(writer.provenance, transfer, summary)
         result = {
             "source": {"repo_id": reader.repo_id, "embodiment": reader.embodiment.name},
             "target": config.target,
@@ -104,6 +118,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "frames": sum(entry["frames"] for entry in entries),
             "results": entries,
             "residuals": residuals,
+            **({"verify": summary} if summary is not None else {}),
         }
         if config.dry_run:
             write_json(config.json, result)
@@ -164,6 +179,7 @@ def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: 
         "solver": config.solver,
         "contact": config.contact,
         "transfer": config.transfer,
+        **({"verify": config.verify} if config.verify.enabled else {}),
     }
     return DatasetWriter(
         config.new_repo_id,
@@ -173,12 +189,14 @@ def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: 
     )
 
 
-def _with_choices(provenance: "Provenance", transfer: "Transfer") -> "Provenance":
-    """Provenance with what the transfer decided by itself: where trajectories start, on which pads."""
+def _with_choices(provenance: "Provenance", transfer: "Transfer", summary: dict[str, Any] | None) -> "Provenance":
+    """Provenance with what was decided on the way: where trajectories start, on which pads, which episodes are dropped."""
     from cei_converters.metadata import plain
 
     pads = {e.name: plain(e.end_effector.pads) for e in (transfer.source, transfer.target) if e.end_effector}
     options = provenance.options | {"basins": plain(transfer.basins)}
+    if summary is not None:
+        options["verify"] = options["verify"] | {"dropped": summary["dropped"]}
     return replace(provenance, pads=pads, options=options)
 
 
@@ -198,17 +216,25 @@ def _environment(reader: "DatasetReader", target: str) -> "Environment":
     return Environment(known.id.removesuffix(source) + target, known.kwargs)
 
 
+def _rows(entries: list[dict[str, Any]], verdicts: list[Verdict]) -> list[dict[str, Any]]:
+    """The table's rows, with what verification found, if there was any."""
+    if not verdicts:
+        return entries
+    return [entry | verdict.row() for entry, verdict in zip(entries, verdicts, strict=True)]
+
+
 def _transfer_episodes(
     config: ConvertConfig,
     reader: "DatasetReader",
     selected: list[int],
     transfer: Any,
     writer: "DatasetWriter | None",
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Summaries for the table, and residuals frame by frame."""
+    verifier: Verifier | None,
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]], list[Verdict]]:
+    """Summaries for the table, residuals frame by frame, and what a verifier says; dropped episodes included."""
     from cei_converters.progress import progress_bar
 
-    entries, residuals = [], []
+    entries, residuals, verdicts = [], [], []
     with progress_bar("frames") as progress:
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
         spread = sorted({round(i) for i in np.linspace(0, len(selected) - 1, FIT_EPISODES)})
@@ -216,18 +242,26 @@ def _transfer_episodes(
         for i, index in enumerate(selected):
             progress.update(task, description=f"episode {index}")
             mode = i % config.init.modes  # motions take turns, so that a dataset is an even mixture
-            demonstration, report = transfer(reader.read(index), mode)
+            recorded = reader.read(index)
+            record: dict[str, Any] = {**reader.record(index), "source_episode": index}
+            record.pop("verified", None)  # of the source
+            if verifier is None:
+                demonstration, report = transfer(recorded, mode)
+            else:
+                demonstration, report, verdict = verifier(recorded, mode)
+                verdicts.append(verdict)
+                record["verified"] = verdict.record()
             summary = report.summary() | ({"mode": mode} if config.init.modes > 1 else {})
             entry = {"episode": index, "frames": len(demonstration), **summary}
             entries.append(entry)
             frames = {"pad_distance_mm": report.pad_distance_mm, "normal_angle_deg": report.normal_angle_deg}
             residuals.append({"episode": index, **frames})
-            if writer is not None:
+            if writer is not None and not (verdicts and verdicts[-1].dropped):
                 if not config.allow_unreachable:
                     check_reached(config.target, [entry])
-                writer.add(demonstration, {**reader.record(index), "source_episode": index, "alignment": summary})
+                writer.add(demonstration, {**record, "alignment": summary})
             progress.advance(task, len(demonstration))
-    return entries, residuals
+    return entries, residuals, verdicts
 
 
 def main(args: list[str] | None = None) -> int:

@@ -18,6 +18,7 @@ from cei_gym.alignment.kernels.quadratic import add_contact, project
 from cei_gym.alignment.kernels.step import take_step
 from cei_gym.alignment.kernels.target import empty_pose
 
+_OPEN_M = 0.02  # this much wider than what it holds, a hand is open
 _DAMPING = 1e-3
 _DAMPING_TRIES = 6
 
@@ -31,9 +32,10 @@ class Grasp(NamedTuple):
         share: (P,) 1 / number of pads on its side.
         start: (P + 1,) vertices of pad p are `start[p] : start[p + 1]`.
         vertices: (V, 3) outermost vertices in their joint's frame, m.
+        normals: (P, 3) unit mean normal of each pad in its joint's frame.
         palm: joint whose frame carries the end-effector's root.
         hand: independent joints of the end-effector.
-        opposition, turning, carrying, posture: weights, see `ContactOptions`.
+        opposition, facing, approach, turning, carrying, posture: weights, see `ContactOptions`.
         iterations: most a frame.
         tolerance: fall of the energy that counts as none, m.
     """
@@ -43,9 +45,12 @@ class Grasp(NamedTuple):
     share: np.ndarray
     start: np.ndarray
     vertices: np.ndarray
+    normals: np.ndarray
     palm: int
     hand: np.ndarray
     opposition: float
+    facing: float
+    approach: float
     turning: float
     carrying: float
     posture: float
@@ -72,7 +77,9 @@ class Wish(NamedTuple):
         contacts: (2, 3) where its two sides meet the object.
         rotation: (3, 3) of the palm.
         point, position: (3,) a point in the palm's frame, and where it should be.
-        opposition, turning, moving: weights of contacts, of the palm's rotation and of that point.
+        opposition, across: weights of contacts along the axis and across it.
+        facing: weight of pads facing each other along the axis.
+        turning, moving: weights of the palm's rotation and of that point.
         posture: (m,) weights of staying near the anchor.
     """
 
@@ -82,6 +89,8 @@ class Wish(NamedTuple):
     point: np.ndarray
     position: np.ndarray
     opposition: float
+    across: float
+    facing: float
     turning: float
     moving: float
     posture: np.ndarray
@@ -149,16 +158,26 @@ def _energy(target, grasp, links, wish, anchor, u, pose, points, quadratic, deri
         along = mean[side, 0] * axis[0] + mean[side, 1] * axis[1] + mean[side, 2] * axis[2]
         for i in range(3):
             mean[side, i] -= along * axis[i]
-            total += 0.5 * wish.opposition * mean[side, i] ** 2
+            total += 0.5 * wish.across * mean[side, i] ** 2
     for p in range(len(grasp.joint)):
         k, side = grasp.joint[p], grasp.side[p]
         depth = 0.0
         for i in range(3):
             depth += axis[i] * (points[p, i] - contacts[side, i])
         total += 0.5 * wish.opposition * depth * depth
+        # Pads face what they press on: without this, contact points may be met by curling up.
+        sign = 1.0 if side == 0 else -1.0
+        normal = pose.rot[k] @ grasp.normals[p]
+        facing = sign * (normal[0] * axis[0] + normal[1] * axis[1] + normal[2] * axis[2])
+        total += wish.facing * (1.0 - facing)
         if derivatives:
+            for i in range(3):
+                a, b = (i + 1) % 3, (i + 2) % 3
+                quadratic.force[k, 3 + i] += wish.facing * sign * (axis[a] * normal[b] - axis[b] * normal[a])
+                for j in range(i, 3):
+                    quadratic.block[k, 3 + i, 3 + j] += wish.facing * ((1.0 if i == j else 0.0) - normal[i] * normal[j])
             add_contact(k, points[p], axis, -depth, wish.opposition, quadratic)
-            _add_offset(k, points[p], mean[side], wish.opposition * grasp.share[p], quadratic)
+            _add_offset(k, points[p], mean[side], wish.across * grasp.share[p], quadratic)
     total += _palm_energy(grasp, wish, pose, quadratic, derivatives)
     for k in range(len(u)):
         total += 0.5 * wish.posture[k] * (u[k] - anchor[k]) ** 2
@@ -236,6 +255,23 @@ def _solve(target, grasp, links, wish, anchor, lower, upper, memory, points, tri
 
 
 @njit(cache=True, nogil=True)
+def _middle(grasp, grip, t, pose, points):
+    """The middle of the contact points in the palm's frame and in that of the source's end-effector, (3,) each."""
+    middle = np.zeros(3)
+    for p in range(len(grasp.joint)):
+        middle += 0.5 * grasp.share[p] * points[p]
+    in_palm = np.ascontiguousarray(pose.rot[grasp.palm].T) @ (middle - pose.pos[grasp.palm])
+    return in_palm, np.ascontiguousarray(grip.rotation[t].T) @ (middle - grip.position[t])
+
+
+@njit(cache=True, nogil=True)
+def _width(grip, t):
+    """How far apart the source's two sides are, m."""
+    across = grip.contacts[t, 1] - grip.contacts[t, 0]
+    return abs((across * grip.axis[t]).sum())
+
+
+@njit(cache=True, nogil=True)
 def _miss(grasp, axis, contacts, points):
     """How far the two sides' mean contact points (of `points`, (P, 3)) are from `contacts` (2, 3), at most, m."""
     mean = np.zeros((2, 3))
@@ -287,7 +323,8 @@ def refine(target, grasp, away, pads, around, around_start, elsewhere, elsewhere
     tight[grasp.hand] = grasp.opposition
     nowhere = np.zeros((0, 3))
     reference = grip.reference
-    turned = np.eye(3)  # the palm in the source's end-effector
+    # the palm's turn in the source's end-effector, and a point of both: the middle of the contacts
+    turned, point, carried, narrow = np.eye(3), np.zeros(3), np.zeros(3), 0.0
     if reference >= 0:
         # The relation between palm and source is that of the frame in which the source takes hold.
         u[:] = followed[reference]
@@ -300,6 +337,8 @@ def refine(target, grasp, away, pads, around, around_start, elsewhere, elsewhere
             np.zeros(3),
             np.zeros(3),
             grasp.opposition,
+            grasp.opposition,
+            grasp.facing,
             grasp.turning,
             0.0,
             loose,
@@ -308,8 +347,11 @@ def refine(target, grasp, away, pads, around, around_start, elsewhere, elsewhere
         _solve(target, grasp, links, wish, last, lower, upper, memory, points, trial_points, u)
         place_joints(target, u, memory.pose)
         turned = np.ascontiguousarray(grip.rotation[reference].T) @ memory.pose.rot[grasp.palm]
+        contact_points(grasp, memory.pose, grip.axis[reference], points)
+        point, carried = _middle(grasp, grip, reference, memory.pose, points)
+        narrow = _width(grip, reference)
     u[:] = followed[0]
-    since, point, carried = -1, np.zeros(3), np.zeros(3)
+    since = -1
     for t in range(frames):
         if t == 0:
             anchor[:] = followed[0]
@@ -330,9 +372,9 @@ def refine(target, grasp, away, pads, around, around_start, elsewhere, elsewhere
             place_joints(target, followed[t], memory.pose)
             rotation = memory.pose.rot[grasp.palm].copy()
         holding = grip.held[t] and since >= 0
-        position = np.zeros(3)
+        position = grip.position[t] + np.ascontiguousarray(grip.rotation[t]) @ carried
+        opened = min(max((_width(grip, t) - narrow) / _OPEN_M, 0.0), 1.0) if reference >= 0 else 0.0
         if holding:
-            position = grip.position[t] + np.ascontiguousarray(grip.rotation[t]) @ carried
             for k in grasp.hand:
                 anchor[k] = held[k]
         wish = Wish(
@@ -342,8 +384,10 @@ def refine(target, grasp, away, pads, around, around_start, elsewhere, elsewhere
             point,
             position,
             0.0 if holding else grasp.opposition,
+            0.0 if holding else (1.0 - opened) * grasp.opposition,
+            0.0 if holding else grasp.facing,
             grasp.carrying if holding else grasp.turning,
-            grasp.opposition if holding else 0.0,
+            grasp.opposition if holding else opened * grasp.approach,
             tight if holding else loose,
         )
         links = Links(
@@ -366,11 +410,8 @@ def refine(target, grasp, away, pads, around, around_start, elsewhere, elsewhere
         elif since < 0:
             since = t
             held[:] = u
-            middle = np.zeros(3)
-            for p in range(len(grasp.joint)):
-                middle += 0.5 * grasp.share[p] * points[p]
             # What is held stays where it is both in the palm and in the source's end-effector.
-            point = np.ascontiguousarray(memory.pose.rot[grasp.palm].T) @ (middle - memory.pose.pos[grasp.palm])
-            carried = np.ascontiguousarray(grip.rotation[t].T) @ (middle - grip.position[t])
+            point, carried = _middle(grasp, grip, t, memory.pose, points)
+            narrow = _width(grip, t)
             turned = np.ascontiguousarray(grip.rotation[t].T) @ memory.pose.rot[grasp.palm]
     return out, errors

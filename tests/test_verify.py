@@ -1,0 +1,334 @@
+"""Verified transfer: what is tried, in which order, what is kept of it, and what the commands say."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cei_converters import convert, record, replay, verify
+from cei_converters.reader import DatasetReader
+from cei_converters.replay import Stage
+from cei_converters.verify import Verifier, VerifyOptions
+from cei_gym.alignment import InitialisationOptions
+from cei_gym.demonstration import Demonstration
+from cei_gym.embodiment import load_embodiment
+from cei_gym.errors import CEIError
+from cei_gym.transfer import Attempt, Transfer, TransferOptions
+
+SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
+ENV = f"CEI-PickCube-{TARGET}"
+# Physics does not depend on clouds, and what is tried here not on how many starts there were.
+TRANSFER = TransferOptions(robot_points=256, cloud_points=16)
+INIT = InitialisationOptions(starts=32, basins=4)
+FAST = ["--transfer.robot_points=256", "--transfer.cloud_points=16", "--init.starts=32", "--init.basins=4"]
+
+
+class FakeStage(Stage):
+    """Has every demonstration fail that `succeeds` does not accept, and keeps what it was shown."""
+
+    def __init__(self, succeeds: Callable[["FakeStage"], bool]) -> None:
+        self.succeeds = succeeds
+        self.played: list[Demonstration] = []
+
+    def play(self, demonstration: Demonstration, filmed: bool = False) -> tuple[dict[str, Any], list]:
+        self.played.append(demonstration)
+        success = self.succeeds(self)
+        return {"success": success, "failure": "" if success else "slipped"}, []
+
+    def close(self) -> None:
+        pass
+
+
+def after(failures: int) -> Callable[[FakeStage], bool]:
+    """Success once so many replays have failed."""
+    return lambda stage: len(stage.played) > failures
+
+
+def never(_: FakeStage) -> bool:
+    return False
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Holds `source`, a recorded dataset of two episodes."""
+    folder = tmp_path_factory.mktemp("verify")
+    options = [f"--env=CEI-PickCube-{SOURCE}", "--episodes=2", "--seed=3", "--repo_id=me/source"]
+    assert record.main([*options, f"--root={folder / 'source'}"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def demonstration(folder: Path) -> Demonstration:
+    return DatasetReader("me/source", folder / "source").read(0)
+
+
+@pytest.fixture(scope="module")
+def transfer(demonstration: Demonstration) -> Transfer:
+    fitted = Transfer(load_embodiment(SOURCE), load_embodiment(TARGET), TRANSFER, init=INIT)
+    fitted.fit([demonstration])
+    return fitted
+
+
+def converted(folder: Path, root: Path, *options: str) -> int:
+    source = ["--dataset.repo_id=me/source", f"--dataset.root={folder / 'source'}"]
+    target = [f"--target={TARGET}", "--new_repo_id=me/target", f"--new_root={root}"]
+    return convert.main([*source, *target, *FAST, f"--json={root}.json", *options])
+
+
+def result(root: Path) -> dict[str, Any]:
+    return json.loads(root.with_suffix(".json").read_text())
+
+
+def records(root: Path) -> list[dict[str, Any]]:
+    return json.loads((root / "meta" / "cei.json").read_text())["episodes"]
+
+
+# -- what there is to try ------------------------------------------------------------------------------------------------
+
+
+def test_attempts_come_in_their_order_and_each_kind_has_its_turn(transfer: Transfer) -> None:
+    named = [str(attempt) for attempt in transfer.attempts(100)]
+    basins = [name for name in named if name.startswith("basin")]
+    assert named == ["plain", *basins, "squeeze x0.5", "squeeze x1.5", "pads reduced"]
+    assert "basin 1" not in basins  # the plain one's
+    assert basins == sorted(basins)
+    few = [str(attempt) for attempt in transfer.attempts(5)]
+    assert few == ["plain", *basins[:1], "squeeze x0.5", "squeeze x1.5", "pads reduced"]
+    assert [str(attempt) for attempt in transfer.attempts(1)] == ["plain"]
+    assert len(transfer.attempts(3)) == 3
+
+
+def test_attempts_move_differently_and_without_clouds(transfer: Transfer, demonstration: Demonstration) -> None:
+    plain, _ = transfer(demonstration)
+    assert plain.point_cloud_world is not None
+    same, _ = transfer(demonstration, attempt=Attempt(), clouds=False)
+    assert same.point_cloud_world is None
+    np.testing.assert_array_equal(same.action, plain.action)
+    for attempt in (Attempt(basin=1), Attempt(representation="reduced")):
+        moved, report = transfer(demonstration, attempt=attempt, clouds=False)
+        assert moved.qpos.shape != plain.qpos.shape or np.abs(moved.qpos - plain.qpos).max() > 1e-2
+        assert not report.unreachable_frames
+    less, _ = transfer(demonstration, attempt=Attempt(squeeze=0.5), clouds=False)
+    more, _ = transfer(demonstration, attempt=Attempt(squeeze=1.5), clouds=False)
+    np.testing.assert_array_equal(less.qpos, plain.qpos)
+    closing = [np.abs(moved.action[:-1] - moved.qpos[1:]).max() for moved in (less, plain, more)]
+    assert closing[0] < closing[1] < closing[2]
+
+
+# -- the verifier --------------------------------------------------------------------------------------------------------
+
+
+def test_a_plain_transfer_that_succeeds_is_kept_as_it_is(transfer: Transfer, demonstration: Demonstration) -> None:
+    stage = FakeStage(after(0))
+    moved, _, verdict = Verifier(transfer, stage, VerifyOptions(enabled=True))(demonstration)
+    assert verdict.record() == {"success": True, "attempts": 1, "how": "plain", "failure": ""}
+    np.testing.assert_array_equal(moved.action, transfer(demonstration)[0].action)
+    assert len(stage.played) == 1
+    # What is replayed is what a dataset holds.
+    np.testing.assert_array_equal(stage.played[0].qpos, moved.qpos.astype(np.float32))
+
+
+def test_others_are_tried_until_one_succeeds(transfer: Transfer, demonstration: Demonstration) -> None:
+    stage = FakeStage(after(2))
+    moved, report, verdict = Verifier(transfer, stage, VerifyOptions(enabled=True))(demonstration)
+    assert verdict.success
+    assert (verdict.attempts, verdict.failure) == (3, "slipped")
+    assert verdict.how.startswith("basin")
+    np.testing.assert_array_equal(stage.played[-1].action, moved.action)
+    assert moved.point_cloud_world is not None
+    assert moved.point_cloud_world.shape == (len(moved), 16, 3)
+    assert len(report.pad_distance_mm) == len(moved)
+    assert verdict.row() == {"plain": "slipped", "verified": verdict.how}
+    again, _, same = Verifier(transfer, FakeStage(after(2)), VerifyOptions(enabled=True))(demonstration)
+    assert same == verdict
+    for field in ("qpos", "action", "point_cloud_world"):
+        np.testing.assert_array_equal(getattr(again, field), getattr(moved, field))
+
+
+def test_nothing_is_played_twice_nor_more_than_was_asked_for(transfer: Transfer, demonstration: Demonstration) -> None:
+    stage = FakeStage(never)
+    moved, _, verdict = Verifier(transfer, stage, VerifyOptions(enabled=True, attempts=6))(demonstration)
+    assert verdict.record() == {"success": False, "attempts": len(stage.played), "how": "plain", "failure": "slipped"}
+    assert not verdict.dropped
+    assert 4 <= len(stage.played) <= 6
+    np.testing.assert_array_equal(moved.action, stage.played[0].action)
+    for i, one in enumerate(stage.played):
+        for other in stage.played[:i]:
+            assert one.action.shape != other.action.shape or np.abs(one.action - other.action).max() > 1e-3
+
+
+def test_what_cannot_be_reached_fails_without_a_replay(demonstration: Demonstration) -> None:
+    """Unless it is allowed."""
+
+    class OutOfReach:
+        unreachable_frames = (3,)
+
+    class Plain:
+        def __call__(self, demonstration: Demonstration, mode: int, **_: object):
+            return demonstration, OutOfReach()
+
+        def attempts(self, most: int, mode: int) -> list[Attempt]:
+            return [Attempt()]
+
+    plain: Any = Plain()
+    for allowed in (False, True):
+        stage = FakeStage(after(0))
+        verifier = Verifier(plain, stage, VerifyOptions(enabled=True, drop=True), allow_unreachable=allowed)
+        _, _, verdict = verifier(demonstration)
+        assert (verdict.success, verdict.dropped, len(stage.played)) == (allowed, not allowed, int(allowed))
+        assert verdict.failure == ("" if allowed else "unreachable")
+
+
+# -- the command ---------------------------------------------------------------------------------------------------------
+
+
+type Use = Callable[[Callable[[FakeStage], bool]], None]
+
+
+@pytest.fixture
+def use(transfer: Transfer, monkeypatch: pytest.MonkeyPatch) -> Use:
+    """Puts a fake stage into `cei-convert`, which then starts where `transfer` does: choosing takes longest."""
+
+    def fit(self: Transfer, _: object) -> None:
+        self.basins, self._finalists = transfer.basins, transfer._finalists
+
+    def put(succeeds: Callable[[FakeStage], bool]) -> None:
+        monkeypatch.setattr(convert, "open_stage", lambda *_: FakeStage(succeeds))
+        monkeypatch.setattr(Transfer, "fit", fit)
+
+    return put
+
+
+def fails_at_first(stage: FakeStage) -> bool:
+    """The first replay fails, all others succeed."""
+    return len(stage.played) != 1
+
+
+def fails_in_the_first_episode(stage: FakeStage) -> bool:
+    return stage.played[-1].index != 0
+
+
+def test_the_dataset_says_what_became_of_each_episode(
+    folder: Path, tmp_path: Path, use: Use, capsys: pytest.CaptureFixture
+) -> None:
+    use(fails_at_first)
+    root = tmp_path / "target"
+    assert converted(folder, root, "--verify") == 0
+    printed = capsys.readouterr().out
+    assert "plain 1/2, verified 2/2 (1 retried), dropped 0" in printed
+    first, second = (episode["verified"] for episode in records(root))
+    assert first["success"]
+    assert first["attempts"] == 2
+    assert first["how"] in printed
+    assert first["failure"] == "slipped"
+    assert second == {"success": True, "attempts": 1, "how": "plain", "failure": ""}
+    found = result(root)["verify"]
+    assert (found["plain_successes"], found["verified_successes"], found["episodes"], found["dropped"]) == (1, 2, 2, [])
+    assert found["how"] == {first["how"]: 1, "plain": 1}
+    card = (root / "README.md").read_text()
+    assert "plain transfer succeeds in 1 of 2" in card
+    assert "2 of 2 succeed" in card
+
+
+def test_what_never_succeeds_is_kept_plain_or_dropped(
+    folder: Path, tmp_path: Path, use: Use, capsys: pytest.CaptureFixture
+) -> None:
+    use(fails_in_the_first_episode)
+    kept, dropped = tmp_path / "kept", tmp_path / "dropped"
+    assert converted(folder, kept, "--verify", "--verify.attempts=1", "--episodes=0") == 0
+    verdict = {"success": False, "attempts": 1, "how": "plain", "failure": "slipped"}
+    assert [episode["verified"] for episode in records(kept)] == [verdict]
+    assert converted(folder, dropped, "--verify", "--verify.attempts=2", "--verify.drop") == 0
+    assert "plain 1/2, verified 1/2 (1 retried), dropped 1" in capsys.readouterr().out
+    assert [episode["source_episode"] for episode in records(dropped)] == [1]
+    assert len(DatasetReader("me/target", dropped)) == 1
+    found = result(dropped)
+    assert found["episodes"] == len(found["results"]) == len(found["residuals"]) == 1
+    assert found["verify"]["dropped"] == [0]
+    assert found["verify"]["results"][0]["failure"] == "slipped"
+    assert "Left out are 1" in (dropped / "README.md").read_text()
+
+
+def test_nothing_is_left_behind_where_all_are_dropped(
+    folder: Path, tmp_path: Path, use: Use, capsys: pytest.CaptureFixture
+) -> None:
+    use(never)
+    assert (
+        converted(folder, tmp_path / "target", "--verify", "--verify.attempts=1", "--verify.drop", "--episodes=1") == 1
+    )
+    error = capsys.readouterr().err
+    assert "no episode of 1 succeeds" in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_is_off_by_default_and_says_nothing_then(
+    folder: Path, tmp_path: Path, use: Use, capsys: pytest.CaptureFixture
+) -> None:
+    use(lambda _: pytest.fail("nothing is to be replayed"))
+    root = tmp_path / "target"
+    assert converted(folder, root, "--episodes=0") == 0
+    assert "verif" not in capsys.readouterr().out.lower()
+    assert "verify" not in result(root)
+    assert "verified" not in records(root)[0]
+    assert "verify" not in json.loads((root / "meta" / "cei.json").read_text())["provenance"]["options"]
+    assert "Verified" not in (root / "README.md").read_text()
+
+
+def test_verification_in_physics_agrees_with_a_replay_of_the_dataset(folder: Path, tmp_path: Path) -> None:
+    root = tmp_path / "target"
+    assert converted(folder, root, "--verify", "--episodes=1") == 0
+    verdict = records(root)[0]["verified"]
+    assert result(root)["verify"]["plain_successes"] == int(verdict["how"] == "plain" and verdict["success"])
+    options = ["--dataset.repo_id=me/target", f"--dataset.root={root}", "--video_episodes=0"]
+    assert replay.main([*options, f"--json={tmp_path / 'replay.json'}"]) == 0
+    replayed = json.loads((tmp_path / "replay.json").read_text())
+    assert replayed["env"] == ENV
+    assert replayed["results"][0]["success"] == verdict["success"]
+
+
+# -- what is refused -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        (["--verify.drop"], 2, "of no use without --verify"),
+        (["--verify.attempts=3"], 2, "of no use without --verify"),
+        (["--verify=false", "--verify.drop"], 2, "of no use without --verify"),
+        (["--verify", "--verify.attempts=0"], 2, "verify.attempts=0 must be at least 1"),
+        (["--verify", "--target_pose=0,0,0.912"], 1, f"the base of {ENV} is not where the converted robot's is"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(
+    options: list[str], code: int, message: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert converted(folder, tmp_path / "target", *options) == code
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dataset_without_an_environment_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    shutil.copytree(folder / "source", tmp_path / "source")
+    path = tmp_path / "source" / "meta" / "cei.json"
+    metadata = json.loads(path.read_text())
+    metadata["environment"]["id"] = None
+    path.write_text(json.dumps(metadata))
+    assert converted(tmp_path, tmp_path / "target", "--verify") == 1
+    assert f"me/source names no environment that a {TARGET} could be verified in" in capsys.readouterr().err
+    assert not (tmp_path / "target").exists()
+
+
+def test_options_are_checked_where_they_are_made() -> None:
+    with pytest.raises(CEIError, match="at least 1"):
+        VerifyOptions(enabled=True, attempts=0)
+    assert not VerifyOptions().enabled
+    assert verify.sentence(verify.summarise([])) == "plain 0/0, verified 0/0 (0 retried), dropped 0"
