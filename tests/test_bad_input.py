@@ -184,7 +184,7 @@ def test_episodes(refuse: Callable) -> None:
 
 
 def test_unreachable_episode(refuse: Callable) -> None:
-    few = {"solver__iterations": "1"}
+    few = {"solver__iterations": "1", "transfer__stretch": "1"}
     assert "IIWA-Inspire cannot reach episode 1: frame 2;" in refuse(**few)
     assert "cannot reach episode 1: frame 2;" in refuse(dry_run="true", **few)
 

@@ -19,6 +19,7 @@ from cei_envs import environment_id, environment_ids
 from cei_envs.environment import CEIEnv
 from cei_envs.experts import make_expert
 from cei_envs.gripper import KINDS, register_gripper
+from cei_envs.registration import TASKS
 from cei_envs.tasks.pick_cube import PickCubeEnv
 from cei_gym.embodiment import (
     ARMS,
@@ -80,17 +81,18 @@ def run_python(code: str, **environment: str) -> str:
 # -- registration --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("task", ["OpenDrawer", "PickCube", "StackCube"])
 @pytest.mark.parametrize("name", embodiment_names())
-def test_every_embodiment_has_an_environment(name: str) -> None:
-    assert environment_id("PickCube", name) == f"CEI-PickCube-{name}"
-    spec = gym.spec(environment_id("PickCube", name))
+def test_every_embodiment_has_an_environment(name: str, task: str) -> None:
+    assert environment_id(task, name) == f"CEI-{task}-{name}"
+    spec = gym.spec(environment_id(task, name))
     assert spec.kwargs["embodiment"] == name
     assert spec.max_episode_steps == 400
 
 
 def test_all_environments_are_registered_once() -> None:
     ids = environment_ids()
-    assert len(set(ids)) == len(ids) == len(ARMS) * len(END_EFFECTORS)
+    assert len(set(ids)) == len(ids) == len(TASKS) * len(ARMS) * len(END_EFFECTORS)
     assert sorted(i for i in gym.registry if i.startswith("CEI-")) == sorted(ids)
     assert cei_gym.__version__
 
@@ -365,7 +367,7 @@ def test_a_blind_replay_mostly_fails(envs: dict[str, CEIEnv], episode: Episode) 
 def test_a_cube_that_is_only_high_for_a_moment_is_no_success(envs: dict[str, CEIEnv]) -> None:
     env = envs[NAMES[0]]
     env.reset(seed=0)
-    env._simulation.data.qpos[env._cube_qpos][2] += 0.12  # falls for 0.16 s: high for three periods
+    env._simulation.data.joint("cube_joint0").qpos[2] += 0.12  # falls for 0.16 s: high for three periods
     mujoco.mj_forward(env.model, env._simulation.data)
     infos = [env.step(env.embodiment.home)[4] for _ in range(12)]
     assert not any(info["is_success"] for info in infos)
@@ -377,7 +379,7 @@ def test_no_object_moves_without_contact(envs: dict[str, CEIEnv], episode: Episo
     env = envs[NAMES[0]]
     start = {key: episode.start[key] for key in ("environment_state", "agent_pos")}
     env.reset(options=start)
-    data, model, cube = env._simulation.data, env.model, env._cube
+    data, model, cube = env._simulation.data, env.model, env.model.body("cube_main").id
 
     def touched_by() -> set[str]:
         bodies = model.geom_bodyid[data.contact.geom]

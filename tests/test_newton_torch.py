@@ -67,12 +67,17 @@ def start(name: str, lambda_m: float = 0.05) -> np.ndarray:
     return find_basins(problem_of(name), SolverOptions(lambda_m=lambda_m), points[0], normals[0], init)[0]
 
 
+def arguments(motion: Motion) -> dict:
+    """What `Solver.track` takes of a motion: all but what the source grips, which is not the solver's business."""
+    return {name: value for name, value in vars(motion).items() if name != "grip"}
+
+
 def both(name: str, options: SolverOptions, motion: Motion) -> tuple[Track, Track]:
     """The track of the compiled solver and of this one."""
     problem = problem_of(name)
     compiled, batched = (make_solver(problem, replace(options, backend=b)) for b in ("numba", "torch"))
     assert isinstance(batched, TorchNewtonSolver)
-    return compiled.track(**vars(motion)), batched.track(**vars(motion))
+    return compiled.track(**arguments(motion)), batched.track(**arguments(motion))
 
 
 def assert_alike(one: Track, other: Track) -> None:
@@ -141,7 +146,7 @@ def test_a_batch_is_its_trajectories_one_at_a_time() -> None:
     tracks = solver.track_all(motions)
     assert [len(t.u) for t in tracks] == [6, 2, 3, 1, 5, 4]
     for motion, track in zip(motions, tracks, strict=True):
-        alone = solver.track(**vars(motion))
+        alone = solver.track(**arguments(motion))
         np.testing.assert_allclose(track.u, alone.u, atol=1e-6)
         np.testing.assert_allclose(track.objective, alone.objective, atol=1e-8)
     assert (tracks[2].iterations <= 4).all()
