@@ -39,14 +39,13 @@ class GraspRefiner:
 
     def refine(self, motion: Motion, track: Track) -> Track:
         """A track with contact carried over; as it is where there is nothing to carry (no grip, one-sided hands)."""
-        if not self._applies(motion):
+        if (grip := motion.grip) is None or self._sides is None or not self._contact.opposition_weight:
             return track
-        grip = motion.grip
         reference = int(np.argmax(grip.held)) if grip.held.any() else -1
         target, grasp, away, pads = self._arrays
-        if self._turned_around(grip, track, max(reference, 0)):
+        if self._turned_around(grip.axis[max(reference, 0)], self._sides, track.u[max(reference, 0)]):
             grasp = grasp._replace(side=1 - grasp.side)
-        support, around, elsewhere = self._surroundings(motion, len(track.u))
+        support, around, elsewhere = self._surroundings(motion, grip, len(track.u))
         u, miss = kernels.refine(
             target,
             grasp,
@@ -62,18 +61,16 @@ class GraspRefiner:
 
     def overlap_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
         """(T,) how deep links are in objects at (T, m) configurations, m; pads in what is gripped do not count."""
-        if not self._applies(motion):
+        if motion.grip is None or self._sides is None or not self._contact.opposition_weight:
             return np.zeros(len(u))
         target, _, away, pads = self._arrays
-        _, around, elsewhere = self._surroundings(motion, len(u))
+        _, around, elsewhere = self._surroundings(motion, motion.grip, len(u))
         return kernels.overlaps(target, away, pads, *around, *elsewhere, np.ascontiguousarray(u, float))
-
-    def _applies(self, motion: Motion) -> bool:
-        return motion.grip is not None and self._sides is not None and self._contact.opposition_weight > 0
 
     @cached_property
     def _arrays(self):
         """The target with all its joints, its pads, and its links: those that keep clear of all points, and pads."""
+        assert self._sides is not None
         problem, c = self._problem, self._contact
         embodiment = problem.embodiment
         target = make_target(problem.representation, problem.tree, all_joints=True)
@@ -115,21 +112,21 @@ class GraspRefiner:
         away = links._replace(idle=~touches)
         return target, grasp, away, links._replace(idle=touches, height_m=-np.inf)
 
-    def _turned_around(self, grip: Grip, track: Track, frame: int) -> bool:
-        """Whether the target's side 0 does what the source's side 1 does."""
-        _, normals = self._problem.place(track.u[frame])
-        mean = [normals[self._sides == side].mean(axis=0) for side in (0, 1)]
-        return bool((mean[0] - mean[1]) @ grip.axis[frame] < 0)
+    def _turned_around(self, axis: np.ndarray, sides: np.ndarray, u: np.ndarray) -> bool:
+        """Whether the target's side 0 does at `u` what the source's side 1 does, whose side 0 presses along `axis`."""
+        _, normals = self._problem.place(u)
+        mean = [normals[sides == side].mean(axis=0) for side in (0, 1)]
+        return bool((mean[0] - mean[1]) @ axis < 0)
 
-    def _surroundings(self, motion: Motion, frames: int):
+    def _surroundings(self, motion: Motion, grip: Grip, frames: int):
         """The support's height, and packed for all frames: points on objects, and those not in the source's grip."""
         around = motion.surroundings
         if around is None:
             around = Surroundings(-np.inf)
         points = around.obstacles_base
-        contacts = motion.grip.contacts
         outside = [
-            p[~in_grip(p, c, self._contact.grip_radius_m)] for p, c in zip(points, contacts, strict=len(points) > 0)
+            p[~in_grip(p, c, self._contact.grip_radius_m)]
+            for p, c in zip(points, grip.contacts, strict=len(points) > 0)
         ]
         elsewhere = pack_obstacles(Surroundings(around.support_z_base_m, outside), frames)
         return float(around.support_z_base_m), pack_obstacles(around, frames), elsewhere

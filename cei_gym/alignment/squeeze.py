@@ -30,6 +30,7 @@ def squeeze(problem: AlignmentProblem, u: np.ndarray, depth_m: np.ndarray) -> np
     qpos = embodiment.coupled.expand(u[closing])
     _, normals = representation.place(problem.tree.forward(qpos))
     spec = embodiment.end_effector
+    assert spec is not None  # it has pads
     pads = spec.pads
     share = np.array([pad.share for pad in pads])
     hessian, gradient = _RIDGE * np.eye(len(hand)), 0.0

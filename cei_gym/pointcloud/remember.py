@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 _VOXEL_M = 0.008
 _SAME_M = 0.012  # a remembered point this near to one that is seen is that point
@@ -31,7 +31,7 @@ def remember(scenes: Sequence[np.ndarray], centre: np.ndarray, moved: np.ndarray
         if moving:
             hidden = hidden[:0]
         elif len(seen) and len(hidden):
-            hidden = hidden[cKDTree(seen).query(hidden)[0] > _SAME_M]
+            hidden = hidden[KDTree(seen).query(hidden)[0] > _SAME_M]
         remembered = np.concatenate([seen, hidden])
         frames.append(remembered)
     return frames

@@ -76,6 +76,7 @@ def upright(rotation: Rotation) -> Rotation:
 def closing_direction_base(embodiment: Embodiment) -> np.ndarray:
     """(3,) unit direction in which the first pad moves when the hand closes at home, in the base frame."""
     closed = np.concatenate([embodiment.home[: embodiment.n_arm], embodiment.closed[embodiment.n_arm :]])
+    assert embodiment.end_effector is not None
     body = f"ee/{embodiment.end_effector.pads[0].body}"
     there, here = (
         mink.Configuration(embodiment.model, q).get_transform_frame_to_world(body, "body").translation()

@@ -25,6 +25,12 @@ class OpenDrawer(ManipulationEnv):
         robot.set_base_xpos(robot.base_xpos_offset["table"](_TABLE_SIZE_M[0]))
         arena = TableArena(table_full_size=_TABLE_SIZE_M, table_offset=(0, 0, _TABLE_Z_M))
         arena.set_origin([0, 0, 0])
-        cabinet = MujocoXMLObject(str(_CABINET), name="cabinet", joints=None, obj_type="all", duplicate_collision_geoms=True)
+        # robosuite's default of free joints would let it move.
+        cabinet = MujocoXMLObject(
+            str(_CABINET),
+            name="cabinet",
+            joints=None,
+            duplicate_collision_geoms=True,  # pyright: ignore[reportArgumentType]
+        )
         cabinet.get_obj().set("pos", f"0 0 {_TABLE_Z_M}")
         self.model = ManipulationTask(mujoco_arena=arena, mujoco_robots=[robot], mujoco_objects=[cabinet])

@@ -67,7 +67,7 @@ class StackCubeEnv(CEIEnv):
             red, green = rng.uniform(-PLACEMENT_M, PLACEMENT_M, (2, 2))
         yaws = rng.uniform(-np.pi, np.pi, 2)
         cubes = zip((red, green), yaws, HALF_SIZES_M, strict=True)
-        return np.concatenate([cube_on_table(*xy, yaw, np.full(3, half)) for xy, yaw, half in cubes])
+        return np.concatenate([cube_on_table(x, y, yaw, np.full(3, half)) for (x, y), yaw, half in cubes])
 
     def _apply_state(self, state: np.ndarray) -> None:
         self._red.apply(state[:STATE_SIZE])
