@@ -1,6 +1,7 @@
 """The robosuite environment of OpenDrawer: a table with a cabinet."""
 
 from pathlib import Path
+from typing import Any
 
 from robosuite.environments.manipulation.manipulation_env import ManipulationEnv
 from robosuite.models.arenas import TableArena
@@ -25,12 +26,7 @@ class OpenDrawer(ManipulationEnv):
         robot.set_base_xpos(robot.base_xpos_offset["table"](_TABLE_SIZE_M[0]))
         arena = TableArena(table_full_size=_TABLE_SIZE_M, table_offset=(0, 0, _TABLE_Z_M))
         arena.set_origin([0, 0, 0])
-        # robosuite's default of free joints would let it move.
-        cabinet = MujocoXMLObject(
-            str(_CABINET),
-            name="cabinet",
-            joints=None,
-            duplicate_collision_geoms=True,  # pyright: ignore[reportArgumentType]
-        )
+        nothing: Any = None  # robosuite's default is a free joint; its annotation knows no other
+        cabinet = MujocoXMLObject(str(_CABINET), name="cabinet", joints=nothing, duplicate_collision_geoms=True)
         cabinet.get_obj().set("pos", f"0 0 {_TABLE_Z_M}")
         self.model = ManipulationTask(mujoco_arena=arena, mujoco_robots=[robot], mujoco_objects=[cabinet])
