@@ -161,9 +161,12 @@ def compare(target: str, problem: AlignmentProblem, motions: list[Motion], optio
     own: dict[str, list] = {"ours": [], "ours, velocity limits": [], f"ours, {CORES} threads": []}
     rows = []
 
+    def track(motion: Motion) -> Track:
+        return ours.track(motion.points_base, motion.normals_base, motion.u0, dt_s=motion.dt_s)
+
     def run_ours() -> None:
-        own["ours"].append(timed(lambda: [ours.track(**vars(m)) for m in motions]))
-        own["ours, velocity limits"].append(timed(lambda: [ours.track(**vars(m)) for m in moving]))
+        own["ours"].append(timed(lambda: [track(m) for m in motions]))
+        own["ours, velocity limits"].append(timed(lambda: [track(m) for m in moving]))
         own[f"ours, {CORES} threads"].append(timed(lambda: ours.track_all(motions)))
 
     def row(method: str, threads: int, seconds: float, tracks: list[Track]) -> Row:

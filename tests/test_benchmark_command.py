@@ -1,4 +1,4 @@
-"""`cei-benchmark replay` through the real command: four cells, one of which fails at first, and what it makes of them."""
+"""`cei-benchmark replay` through the real command: six cells, one of which fails at first, and what it makes of them."""
 
 import contextlib
 import csv
@@ -26,7 +26,8 @@ from cei_gym.embodiment import ARMS
 from cei_gym.errors import CEIError
 
 PAPER = Path(__file__).parents[2] / "shared/paper"
-CELLS = ["PickCube-IIWA-Inspire", "PickCube-IIWA-Inspire-bms", "PickCube-IIWA-Inspire-no_direction"]
+VARIED = ["bms", "no_direction", "no_contact", "no_direction_no_contact"]
+CELLS = ["PickCube-IIWA-Inspire", *(f"PickCube-IIWA-Inspire-{variant}" for variant in VARIED)]
 SOURCE_CELL, RECORDING = "PickCube-Panda-PandaGripper", "PickCube, recording Panda-PandaGripper"
 BROKEN = CELLS[2]
 SMOKE = ["replay", "--tasks=PickCube", "--targets=IIWA-Inspire", "--episodes=1", "--seed=3", "--jobs=1"]
@@ -34,7 +35,7 @@ SMOKE = ["replay", "--tasks=PickCube", "--targets=IIWA-Inspire", "--episodes=1",
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`results` and `work` of four cells: a run in which one failed (stderr: first.txt), then another (second.txt)."""
+    """`results` and `work` of six cells: a run in which one failed (stderr: first.txt), then another (second.txt)."""
     folder = tmp_path_factory.mktemp("benchmark")
     work = folder / "work/3-1"
     (work / CELLS[0] / "dataset").mkdir(parents=True)  # left by a run that was stopped: no obstacle
@@ -83,10 +84,11 @@ def test_nothing_runs_where_all_is_finished(folder: Path, capsys: pytest.Capture
 
 
 def test_a_cell_says_how_it_was_made(folder: Path) -> None:
-    plain, bms, no_direction, source = (cell_of(folder, name) for name in (*CELLS, SOURCE_CELL))
+    plain, bms, no_direction, *_, neither, source = (cell_of(folder, name) for name in (*CELLS, SOURCE_CELL))
     assert (plain["task"], plain["target"], plain["variant"]) == ("PickCube", "IIWA-Inspire", "cei")
     assert (plain["options"], bms["options"]) == ([], ["--transfer.method=bms"])
     assert no_direction["options"] == ["--solver.lambda_m=0"]
+    assert neither["options"] == ["--solver.lambda_m=0", "--contact.opposition_weight=0", "--contact.squeeze_m=0"]
     assert plain["seeds"] == [3, 3]
     assert plain["source_seeds"] == [3]
     assert plain["versions"]["robosuite"]
@@ -135,7 +137,8 @@ def test_redraw_makes_the_tables_of_what_there_is(folder: Path, tmp_path: Path, 
     main = {(row["arm"], row["end_effector"]): row for row in rows(tmp_path, "replay")}
     assert set(main) == {("IIWA", "Inspire"), ("Panda", "PandaGripper")}
     assert main["IIWA", "Inspire"]["paper_percent"] == "45"
-    assert {"CEI", "BMS", "without direction"} == {row["method"] for row in rows(tmp_path, "ablation")}
+    methods = {"CEI", "BMS", "without direction", "without contact", "without direction and contact"}
+    assert {row["method"] for row in rows(tmp_path, "ablation")} == methods
     assert rows(tmp_path, "sensitivity") == []
     text = (tmp_path / "replay.md").read_text()
     assert "/ 45 |" in text
@@ -185,9 +188,9 @@ def test_a_strange_file_is_named(content: str, tmp_path: Path) -> None:
 
 def test_cells_are_those_of_the_papers_tables() -> None:
     assert len(TABLES["main"]) == 3 * (16 + 1)
-    assert len(TABLES["ablation"]) == 3 * 4 * 3
+    assert len(TABLES["ablation"]) == 3 * 4 * 5
     assert len(TABLES["sensitivity"]) == 3
-    assert len(all_cells()) == 51 + 3 * 4 * 2 + 2
+    assert len(all_cells()) == 51 + 3 * 4 * 4 + 2
 
 
 @pytest.mark.skipif(not PAPER.exists(), reason="needs ../shared/paper")
@@ -224,6 +227,7 @@ def test_averages_compare_with_the_paper_over_the_same_cells() -> None:
     text = markdown(found)
     assert "| PickCube | 75 | 25 | 63 | 2 of 16 | - |" in text
     assert "| FourierRight | 100 / 50 / 81 | - / - / 72 |" in text
+    assert "| PickCube | without contact | - / - | - / - | - / - | - / - | - / - |" in text
     assert "| PickCube | CEI | 100 / 81 | 50 / 45 | - / 81 | - / 52 | - / 65 |" in text
     assert "| PickCube, UR5e-FourierRight | 100 / 85 | - / 90 | - / 80 |" in text
     assert shown(94.5) == "95"  # as the paper rounds

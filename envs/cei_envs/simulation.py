@@ -20,8 +20,8 @@ CONTROL_HZ = 20
 class StillBaseController(CompositeController):
     """robosuite's basic controller for a base that stands still.
 
-    The same commands in half the time: robosuite derives the limits of actions, and where the base is, anew twice in each of
-    the 25 physics steps of a control period, which takes longer than the physics.
+    The same commands in half the time: robosuite derives the limits of actions, where the base is, and the gripper's
+    Jacobian anew in each of the 25 physics steps of a control period, which takes longer than the physics.
     """
 
     name = "CEI_STILL_BASE"
@@ -32,6 +32,11 @@ class StillBaseController(CompositeController):
 
     def update_state(self) -> None:
         """Nothing to do: joint positions do not depend on the base."""
+
+    def _init_controllers(self) -> None:
+        super()._init_controllers()
+        for arm in self.arms:
+            self.part_controllers[arm].ref_name = None  # nor on where the gripper is
 
 
 class Simulation:

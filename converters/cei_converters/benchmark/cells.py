@@ -11,10 +11,13 @@ SOURCE = "Panda-PandaGripper"
 TASKS = tuple(paper.REPLAY)
 END_EFFECTORS = tuple(paper.REPLAY[TASKS[0]])
 TARGETS = tuple(f"{arm}-{end_effector}" for end_effector in END_EFFECTORS for arm in ARMS)
+NO_DIRECTION, NO_CONTACT = ["--solver.lambda_m=0"], ["--contact.opposition_weight=0", "--contact.squeeze_m=0"]
 VARIANTS: dict[str, list[str]] = {
     "cei": [],
     "bms": ["--transfer.method=bms"],
-    "no_direction": ["--solver.lambda_m=0"],
+    "no_direction": NO_DIRECTION,
+    "no_contact": NO_CONTACT,
+    "no_direction_no_contact": [*NO_DIRECTION, *NO_CONTACT],
     "reduced": ["--transfer.representation=reduced"],
     "dropped": ["--transfer.representation=dropped"],
 }
@@ -63,8 +66,17 @@ def _main() -> Iterable[Entry]:
 
 
 def _ablation() -> Iterable[Entry]:
+    # The contact stage looks at normals too, so what direction is worth shows only where that is gone as well.
+    methods = {
+        "bms": "BMS",
+        "no_direction": "without direction",
+        "no_contact": "without contact",
+        "no_direction_no_contact": "without direction and contact",
+        "cei": "CEI",
+    }
     for task in TASKS:
-        for variant, (label, figures) in zip(("bms", "no_direction", "cei"), paper.ABLATION[task].items(), strict=True):
+        for variant, label in methods.items():
+            figures = paper.ABLATION[task].get(label, (None,) * len(paper.ABLATION_TARGETS))
             for target, figure in zip(paper.ABLATION_TARGETS, figures, strict=True):
                 yield Entry(Cell(task, target, variant), label, figure)
 
