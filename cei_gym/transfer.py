@@ -25,8 +25,10 @@ from cei_gym.alignment import (
     judge_basins,
     link_shapes,
     make_report,
+    onto_objects,
     opposing_sides,
     pace,
+    pad_shapes,
     source_grip,
     squeeze,
 )
@@ -334,6 +336,10 @@ class Transfer:
         motion = Motion(points, normals, home, dt_s=1.0 / demonstration.fps)
         grip = self._grip(demonstration, motion)
         obstacles = self._obstacles(demonstration, scenes, points.mean(axis=1), grip) if len(scenes) else ()
+        if grip is not None and len(obstacles):
+            assert self._sides is not None
+            pads = pad_shapes(self.source_representation, self._sides).place(self._source_links(demonstration))
+            grip = onto_objects(grip, pads, obstacles, self.contact.grip_radius_m)
         surroundings = Surroundings(self._support_z_base_m(demonstration), obstacles)
         return replace(motion, grip=grip, surroundings=surroundings)
 
@@ -351,12 +357,17 @@ class Transfer:
     def _grip(self, demonstration: Demonstration, motion: Motion) -> Grip | None:
         if self._sides is None:
             return None
-        T_links = self._T_target_source(demonstration) @ self._source_tree.forward(demonstration.qpos)
         # Told to close, but at rest: something is in between.
         hand = demonstration.qpos[:, self.source.n_arm :]
-        moving = np.abs(np.diff(hand, axis=0, prepend=hand[:1])) * demonstration.fps > _AT_REST
-        held = (self._closing_m(demonstration, motion) > self.contact.held_m) & ~moving.any(axis=1)
+        moves = (np.abs(np.diff(hand, axis=0)) * demonstration.fps > _AT_REST).any(axis=1)
+        at_rest = ~np.append(False, moves) & ~np.append(moves, False)  # neither on its way nor about to set out
+        held = (self._closing_m(demonstration, motion) > self.contact.held_m) & at_rest
+        T_links = self._source_links(demonstration)
         return source_grip(self.source_representation, self._sides, self._root, T_links, held)
+
+    def _source_links(self, demonstration: Demonstration) -> np.ndarray:
+        """(T, L, 4, 4) the source's links in the target's base frame."""
+        return self._T_target_source(demonstration) @ self._source_tree.forward(demonstration.qpos)
 
     def _T_target_source(self, demonstration: Demonstration) -> np.ndarray:
         return np.linalg.inv(self._base(demonstration)) @ demonstration.scene.T_world_base

@@ -28,6 +28,7 @@ from cei_gym.alignment import (
     find_basins,
     link_shapes,
     make_solver,
+    onto_objects,
     opposing_sides,
     pace,
     source_grip,
@@ -693,11 +694,65 @@ def test_something_is_held_while_a_gripper_at_rest_is_told_to_close_further() ->
     assert not transferred_grip(no_further).held[REACHED:].any()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the last frame of an open gripper counts as held: at rest, and just told to close"
-)
 def test_an_open_gripper_that_is_just_told_to_close_holds_nothing() -> None:
     assert not transferred_grip(demonstration()).held[REACHED - 1]
+
+
+# -- where an object is on the pads ------------------------------------------------------------------------------
+
+
+def held_grip(held: list[bool], seed: int) -> tuple[Grip, np.ndarray]:
+    """A parallel gripper, 40 mm open along x in its own frame, in some pose each frame; and the vertices of its pads."""
+    rng = np.random.default_rng(seed)
+    rotation = np.stack([some_rotation(rng, rng.uniform(0, np.pi)) for _ in held])
+    position = rng.normal(size=(len(held), 3))
+    pads = np.array([[x, y, z] for x in (-0.02, 0.02) for y in (-0.010, 0.010) for z in (-0.009, 0.009)])
+    contacts = np.array([[-0.02, 0, 0], [0.02, 0, 0]])
+    place = [points @ R.T + p for points in (pads, contacts) for R, p in zip(rotation, position, strict=True)]
+    vertices, contacts = np.stack(place[: len(held)]), np.stack(place[len(held) :])
+    return Grip(rotation[:, :, 0], contacts, position, rotation, np.array(held)), vertices
+
+
+def bar(low: float, high: float, grip: Grip, frame: int) -> np.ndarray:
+    """Points on the four sides of a bar along y in the gripper's frame, as wide as the gap, from `low` to `high` in z."""
+    y = np.linspace(-0.06, 0.06, 25)
+    across = [(x, z) for x in (-0.02, 0.02) for z in np.linspace(low, high, 9)]
+    points = np.array([[x, v, z] for x, z in across for v in y])
+    return points @ grip.rotation[frame].T + grip.position[frame]
+
+
+def moved_in_gripper(before: Grip, after: Grip) -> np.ndarray:
+    """(T, 3) how far the contacts moved, in the gripper's frame, m."""
+    moved = after.contacts - before.contacts
+    np.testing.assert_allclose(moved[:, 0], moved[:, 1], atol=1e-12)
+    return np.einsum("tji,tj->ti", before.rotation, moved[:, 0])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_contacts_go_where_a_thin_object_meets_the_edge_of_the_pads(seed: int) -> None:
+    grip, pads = held_grip([False, False, True, True, False], seed)
+    objects = [bar(-0.02, -0.004, grip, t) for t in range(5)]
+    moved = moved_in_gripper(grip, onto_objects(grip, pads, objects, 0.03))
+    np.testing.assert_allclose(moved, np.tile([0, 0, -0.0065], (5, 1)), atol=0.0015)  # [-9, -4] mm is touched
+
+
+def test_contacts_stay_where_the_pads_touch_all_over_or_nothing() -> None:
+    grip, pads = held_grip([False, True, True], 0)
+    far = bar(0.05, 0.07, grip, 1)
+    for points in (bar(-0.03, 0.03, grip, 1), far, far[:2], np.zeros((0, 3))):
+        np.testing.assert_array_equal(onto_objects(grip, pads, [points] * 3, 0.03).contacts, grip.contacts)
+    never = replace(grip, held=np.zeros(3, bool))
+    assert onto_objects(never, pads, [far] * 3, 0.03) is never
+
+
+def test_each_hold_has_its_own_place_on_the_pads() -> None:
+    held = [False, True, True, False, False, True, False]
+    grip, pads = held_grip(held, 1)
+    low, high = (-0.02, -0.004), (0.004, 0.02)
+    objects = [bar(*(low if t < 3 else high), grip, t) for t in range(len(held))]
+    z = moved_in_gripper(grip, onto_objects(grip, pads, objects, 0.03))[:, 2]
+    assert (z[:3] < -0.004).all()
+    assert (z[3:] > 0.004).all()  # from the end of the first hold on
 
 
 # -- squeeze -------------------------------------------------------------------------------------------------

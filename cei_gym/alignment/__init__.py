@@ -3,7 +3,7 @@
 from cei_gym.alignment.basins import Basin, choose_modes, judge, judge_basins
 from cei_gym.alignment.clearance import Clearance
 from cei_gym.alignment.follow import Follower
-from cei_gym.alignment.grip import Grip, opposing_sides, source_grip
+from cei_gym.alignment.grip import Grip, onto_objects, opposing_sides, pad_shapes, source_grip
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.manual import ManualAlignment
 from cei_gym.alignment.pace import pace
@@ -51,8 +51,10 @@ __all__ = [
     "link_shapes",
     "make_report",
     "make_solver",
+    "onto_objects",
     "opposing_sides",
     "pace",
+    "pad_shapes",
     "source_grip",
     "squeeze",
 ]

@@ -1,8 +1,10 @@
 """What an end-effector does to objects: the sides that close on each other, where they meet, when it holds."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import Delaunay, QhullError
 
 from cei_gym.embodiment.meshes import outermost
 from cei_gym.functional.representation import FunctionalRepresentation, pad_mesh
@@ -11,6 +13,9 @@ from cei_gym.kinematics.tree import KinematicTree
 SOFTNESS_M = 1e-2  # how deep below the farthest a vertex still counts for where, across, a pad touches
 _POSES = 11  # from open to closed, where opposition is looked for
 _LEAST_OPPOSITION_RAD = 0.7  # between the mean normals of two sides that close on each other
+_GRID_M = 0.002
+_ALL = 0.9  # where this much of the pads may touch, they do
+_BETWEEN_POINTS_M = 0.005  # a surface goes on this far around a point seen on it
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,14 @@ class PadShapes:
     side: np.ndarray
     vertices_link: list[np.ndarray]
 
+    def place(self, T_links: np.ndarray) -> np.ndarray:
+        """(T, V, 3) vertices of all pads, m, in the frame of the links' poses (T, L, 4, 4)."""
+        placed = [
+            np.einsum("tij,vj->tvi", T_links[:, body, :3, :3], vertices) + T_links[:, body, None, :3, 3]
+            for body, vertices in zip(self.body, self.vertices_link, strict=True)
+        ]
+        return np.concatenate(placed, axis=1)
+
 
 def pad_shapes(representation: FunctionalRepresentation, sides: np.ndarray) -> PadShapes:
     """The shapes of a representation's pads, with (N,) sides of its pairs."""
@@ -130,6 +143,50 @@ def source_grip(
         contacts[:, side] += touched / (pads.side == side).sum()
     T_base_root = T_base_links[:, root]
     return Grip(axis, contacts, T_base_root[:, :3, 3], T_base_root[:, :3, :3], held)
+
+
+def onto_objects(grip: Grip, pads: np.ndarray, objects: Sequence[np.ndarray], radius_m: float) -> Grip:
+    """The grip with its contacts where objects are: a thin one may be held by the very edge of a pad.
+
+    Where a hold begins, what is between the pads shows which part of them touches it; the contacts move, across the closing
+    axis, to the middle of that part. They keep that place on the pads until the hold ends, and on the way to it.
+
+    Args:
+        grip: of the source.
+        pads: (T, V, 3) vertices of its pads, same frame of reference, m.
+        objects: for each frame (P, 3) points on objects, m.
+        radius_m: what is farther from the line between the contacts is not held.
+    """
+    begins = np.flatnonzero(grip.held & ~np.append(False, grip.held[:-1]))
+    if not len(begins):
+        return grip
+    places = np.array([_touched(grip.at(np.array([t])), pads[t], objects[t], radius_m) for t in begins])
+    ends = np.flatnonzero(grip.held & ~np.append(grip.held[1:], False))
+    hold = np.minimum(np.searchsorted(ends, np.arange(len(grip.held))), len(begins) - 1)
+    shift = np.einsum("tij,tj->ti", grip.rotation, places[hold])
+    return replace(grip, contacts=grip.contacts + shift[:, None])
+
+
+def _touched(grip: Grip, pads: np.ndarray, points: np.ndarray, radius_m: float) -> np.ndarray:
+    """(3,) from the contacts' middle to that of what the pads (V, 3) touch, in the end-effector's frame; 0 if nothing."""
+    axis, middle = grip.axis[0], grip.contacts[0].mean(axis=0)
+    across = np.linalg.svd(axis[None])[2][1:]
+    outline, offset = (pads - middle) @ across.T, points - middle
+    flat = offset @ across.T
+    between = np.abs(offset @ axis) < 0.5 * np.linalg.norm(np.diff(grip.contacts[0], axis=0)) + SOFTNESS_M
+    flat = flat[between & (np.linalg.norm(flat, axis=1) < radius_m)]
+    around = _BETWEEN_POINTS_M * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    steps = [np.arange(low, high, _GRID_M) for low, high in zip(outline.min(axis=0), outline.max(axis=0), strict=True)]
+    grid = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
+    try:
+        grid = grid[Delaunay(outline).find_simplex(grid) >= 0]
+        may_touch = Delaunay((flat[:, None] + around).reshape(-1, 2)).find_simplex(grid) >= 0
+        touched = grid[Delaunay(flat).find_simplex(grid) >= 0]
+    except (QhullError, ValueError):  # nothing there
+        return np.zeros(3)
+    if may_touch.mean() > _ALL or not len(touched):
+        return np.zeros(3)
+    return grip.rotation[0].T @ ((touched.mean(axis=0) - grid.mean(axis=0)) @ across)
 
 
 def in_grip(points: np.ndarray, contacts: np.ndarray, radius_m: float) -> np.ndarray:
