@@ -14,7 +14,7 @@ SOFTNESS_M = 1e-2  # how deep below the farthest a vertex still counts for where
 _POSES = 11  # from open to closed, where opposition is looked for
 _LEAST_OPPOSITION_RAD = 0.7  # between the mean normals of two sides that close on each other
 _GRID_M = 0.002
-_ALL = 0.9  # where this much of the pads may touch, they do
+_ALL = 0.8  # where this much of the pads may touch, they do: clouds have holes
 _BETWEEN_POINTS_M = 0.005  # a surface goes on this far around a point seen on it
 
 
@@ -175,6 +175,8 @@ def _touched(grip: Grip, pads: np.ndarray, points: np.ndarray, radius_m: float) 
     flat = offset @ across.T
     between = np.abs(offset @ axis) < 0.5 * np.linalg.norm(np.diff(grip.contacts[0], axis=0)) + SOFTNESS_M
     flat = flat[between & (np.linalg.norm(flat, axis=1) < radius_m)]
+    # One camera sees little of what is below an edge; objects are taken to stand on something.
+    flat = np.concatenate([flat, flat - radius_m * across[:, 2]])
     around = _BETWEEN_POINTS_M * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     steps = [np.arange(low, high, _GRID_M) for low, high in zip(outline.min(axis=0), outline.max(axis=0), strict=True)]
     grid = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
