@@ -14,7 +14,7 @@ SOFTNESS_M = 1e-2  # how deep below the farthest a vertex still counts for where
 _POSES = 11  # from open to closed, where opposition is looked for
 _LEAST_OPPOSITION_RAD = 0.7  # between the mean normals of two sides that close on each other
 _GRID_M = 0.002
-_ALL = 0.8  # where this much of the pads may touch, they do: clouds have holes
+_ALL = 0.9  # where this much of the pads may touch, they do: clouds have holes
 _BETWEEN_POINTS_M = 0.005  # a surface goes on this far around a point seen on it
 
 
