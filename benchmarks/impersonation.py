@@ -1,0 +1,88 @@
+"""Impersonation: the Panda's scripted expert, unchanged, drives another robot through `CrossEmbodimentWrapper`.
+
+usage: python benchmarks/impersonation.py [--task PickCube] [--target UR5e-FourierRight] [--seed 1000] [--episodes 20]
+
+The transfer is fitted to demonstrations of seeds 0-5. Writes results/impersonation/<task>-<target>.json.
+"""
+
+import argparse
+import json
+from collections import Counter
+from pathlib import Path
+from time import perf_counter
+
+import gymnasium as gym
+import numpy as np
+from tqdm import tqdm
+
+import cei_gym  # noqa: F401  (registers the environments)
+from cei_converters.provenance import git_commit
+from cei_converters.record import HOLD_STEPS, record_episode
+from cei_gym.embodiment import load_embodiment
+from cei_gym.transfer import Transfer
+from cei_gym.wrapper import CrossEmbodimentWrapper
+
+SOURCE = "Panda-PandaGripper"
+FITTED_SEEDS = range(6)
+
+
+class Clock(gym.Wrapper):
+    """Remembers how long steps took, s."""
+
+    def __init__(self, env: gym.Env) -> None:
+        super().__init__(env)
+        self.seconds: list[float] = []
+
+    def step(self, action):
+        start = perf_counter()
+        result = self.env.step(action)
+        self.seconds.append(perf_counter() - start)
+        return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--task", default="PickCube")
+    parser.add_argument("--target", default="UR5e-FourierRight")
+    parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument("--episodes", type=int, default=20)
+    parser.add_argument("--results", type=Path, default=Path("results/impersonation"))
+    args = parser.parse_args()
+    home = gym.make(f"CEI-{args.task}-{SOURCE}")
+    transfer = Transfer(load_embodiment(SOURCE), load_embodiment(args.target))
+    transfer.fit([record_episode(home, seed, i)[0] for i, seed in enumerate(tqdm(FITTED_SEEDS, "recording"))])
+    inner = Clock(gym.make(f"CEI-{args.task}-{args.target}"))
+    env = Clock(CrossEmbodimentWrapper(inner, impersonate=transfer))
+    outcomes = []
+    for seed in tqdm(range(args.seed, args.seed + args.episodes), "impersonating"):
+        observation, _ = env.reset(seed=seed)
+        # The expert of the Panda's own environment, which knows of no other robot.
+        plan = home.unwrapped.expert(seed).plan(observation["agent_pos"], observation["environment_state"])
+        for action in [*plan, *[plan[-1]] * HOLD_STEPS]:
+            *_, terminated, truncated, info = env.step(action.astype(np.float32))
+            if terminated or truncated:
+                break
+        outcomes.append(info["failure"] or "success")
+    wrapper_ms = 1e3 * (np.array(env.seconds) - np.array(inner.seconds))
+    result = {
+        "task": args.task,
+        "source": SOURCE,
+        "target": args.target,
+        "seeds": [args.seed, args.seed + args.episodes - 1],
+        "fitted_seeds": [FITTED_SEEDS[0], FITTED_SEEDS[-1]],
+        "episodes": args.episodes,
+        "successes": outcomes.count("success"),
+        "failures": dict(Counter(o for o in outcomes if o != "success")),
+        "wrapper_ms": {str(p): round(float(np.percentile(wrapper_ms, p)), 2) for p in (50, 99)},
+        "commit": git_commit(),
+    }
+    args.results.mkdir(parents=True, exist_ok=True)
+    path = args.results / f"{args.task}-{args.target}.json"
+    path.write_text(json.dumps(result, indent=1) + "\n")
+    print(
+        f"{result['successes']} of {args.episodes} succeed; the wrapper takes {result['wrapper_ms']} ms (median, p99)"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""A source embodiment acted by a target: what the source is told, the target does; what the target does, the source feels."""
+
+import numpy as np
+
+from cei_gym.alignment import AlignmentProblem, Stream, find_basins, squeeze
+from cei_gym.alignment.solvers import make_second_order_solver
+from cei_gym.errors import CEIError
+from cei_gym.kinematics import KinematicTree
+from cei_gym.transfer import Transfer
+
+
+class Impersonation:
+    """Turns joint targets of a source into those of a target, and joint positions of the target into the source's.
+
+    The source's pads at its targets are followed frame by frame (the paper's section IV-B); a hand told to close further than
+    it is squeezes, as in `Transfer`. Back, the source is where it was told to be, but for what the target's pads lack: of two
+    alignments of the source, with the pads as they should be and as they are, only the difference counts, so that what one
+    body cannot imitate of the other is no error.
+
+    Args:
+        transfer: from the source to the target, fitted to demonstrations of the source.
+        T_target_source: (4, 4) pose of the source's base in the target's.
+
+    Raises:
+        CEIError: the transfer has not been fitted.
+    """
+
+    def __init__(self, transfer: Transfer, T_target_source: np.ndarray) -> None:
+        self._transfer, self._T = transfer, T_target_source
+        self.source, self.target = transfer.source, transfer.target
+        if not transfer.basins:
+            raise CEIError(
+                f"how {self.target.name} starts where {self.source.name} does is not known; "
+                "call the transfer's `fit` with a few demonstrations first."
+            )
+        self._stream = Stream(transfer.problem, transfer.solver_options, u0=transfer.basins[0].u)
+        problem = AlignmentProblem(transfer.source_representation, KinematicTree(self.source))
+        self._back = problem, make_second_order_solver(problem, transfer.solver_options)
+        self._T_back = np.linalg.inv(T_target_source)
+        self._hand = self.target.coupled.independent >= self.target.n_arm
+        self.reset(self.source.home)
+        self.observe(self.act(self.source.home))  # compiles
+
+    def reset(self, qpos: np.ndarray) -> np.ndarray:
+        """Start with the source at `qpos` (n,); joint positions (n',) of the target there, rad or m."""
+        self._stream.reset()
+        self.qpos = np.asarray(qpos, float)
+        return self._follow(self.qpos)
+
+    def begin_at(self, qpos: np.ndarray) -> None:
+        """Start with the target at `qpos` (n',), and the source where its pads come nearest to the target's."""
+        self._measured = self._expected = self.target.coupled.reduce(np.asarray(qpos, float))
+        self._stream.go_on_from(self._measured)
+        problem, _ = self._back
+        points, normals = self._pads_in_source(self._measured)
+        u = find_basins(problem, self._transfer.solver_options, points, normals, self._transfer.init)[0]
+        self.qpos = self.source.coupled.expand(u)
+
+    def act(self, action: np.ndarray) -> np.ndarray:
+        """Joint targets (n,) of the source to those of the target (n',), rad or m."""
+        told = np.clip(np.asarray(action, float), self.source.lower, self.source.upper)
+        hand = slice(self.source.n_arm, None)
+        # The arm goes where it is told. A hand that is to close stays where it is, and presses; one that is to open opens.
+        still = told.copy()
+        still[hand] = self.qpos[hand]
+        closing_m = self._closing_m(still, told)
+        self.qpos = still if closing_m > 0 else told
+        qpos = self._follow(self.qpos)
+        if closing_m <= 0:
+            return qpos
+        followed = self._expected.copy()
+        self._expected[self._hand] = self._measured[self._hand]  # it stays as it is, unless it can be pressed further
+        depth_m = np.array([min(closing_m, self._transfer.contact.squeeze_m)])
+        u = squeeze(self._transfer.problem, followed[None], depth_m)[0]
+        return self.target.coupled.expand(u)
+
+    def observe(self, qpos: np.ndarray) -> np.ndarray:
+        """Joint positions (n',) of the target, after it has acted, to those of the source (n,), rad or m."""
+        self._measured = self.target.coupled.reduce(np.asarray(qpos, float))
+        is_, should_be = (self._imitate(u) for u in (self._measured, self._expected))
+        moved = self.source.coupled.expand(is_) - self.source.coupled.expand(should_be)
+        self.qpos = np.clip(self.qpos + moved, self.source.lower, self.source.upper)
+        return self.qpos.copy()
+
+    def _follow(self, qpos: np.ndarray) -> np.ndarray:
+        points, normals = self._transfer.place_source(qpos, self._T)
+        self._expected = self._stream(points, normals)
+        return self.target.coupled.expand(self._expected)
+
+    def _imitate(self, u: np.ndarray) -> np.ndarray:
+        """(m,) the source's independent joints where the target's pads are those at `u` (m',)."""
+        _, solver = self._back
+        start = self.source.coupled.reduce(self.qpos)
+        return solver.advance(*self._pads_in_source(u), start, start)
+
+    def _pads_in_source(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The target's points and normals (N', 3) at `u` (m',), in the source's base frame."""
+        points, normals = self._transfer.problem.place(u)
+        R, t = self._T_back[:3, :3], self._T_back[:3, 3]
+        return points @ R.T + t, normals @ R.T
+
+    def _closing_m(self, still: np.ndarray, told: np.ndarray) -> float:
+        """How much farther the source's pads are told to go along their normals, in the mean, m."""
+        (is_, normals), (wanted, _) = (self._transfer.place_source(q, self._T) for q in (still, told))
+        return float(np.einsum("ni,ni->n", wanted - is_, normals).mean())

@@ -1,0 +1,159 @@
+"""`CrossEmbodimentWrapper`: at inference, the observations that a policy was trained on (the paper's section IV-C)."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from cei_gym.demonstration import Scene
+from cei_gym.embodiment import Embodiment, load_embodiment
+from cei_gym.errors import CEIError
+from cei_gym.impersonation import Impersonation
+from cei_gym.kinematics import KinematicTree
+from cei_gym.pointcloud import fuse_depth
+from cei_gym.pointcloud.synthesise import CloudSynthesiser
+from cei_gym.transfer import Transfer, TransferOptions
+
+
+class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.utils.EzPickle):
+    """Shows a policy the clouds that the converter makes, and, if asked to, another robot than the one that acts.
+
+    *Augment* (the default): clouds lose the robot as the cameras see it and gain points sampled on all of its surface, as in
+    converted datasets, so that a policy trained on those runs on the target robot.
+
+    *Impersonate*: a policy trained on another robot runs unchanged. It sees that robot's joints, and a cloud in which it
+    stands in the place of the one that acts; its actions are retargeted live.
+
+    Clouds come from the depth images of an environment that has them (`depth_m()`, and cameras in its scene), else from its
+    observation. The environment's `embodiment` and `scene` are used where they are not given.
+
+    Args:
+        env: its observation is a `Dict` with joint positions (n,) and a cloud (N, 3), its actions are joint targets (n,).
+        impersonate: from the robot that the policy was trained on to the one that acts, fitted to a few demonstrations; None to
+            augment.
+        embodiment: name of the robot that acts.
+        scene: its base, the cameras and the workspace; the impersonated robot has the same base.
+        options: of the cloud (`tau_m`, `robot_points`, `cloud_points`, `seed`); by default those of `impersonate`.
+        joints_key, cloud_key: entries of the observation.
+        start_option: reset option by which the environment puts its joints somewhere, for an impersonated robot to start from
+            its home, or where that very option says; None if it has no such option: the other robot then starts from where
+            its pads come nearest.
+
+    Raises:
+        CEIError: the environment lacks something of the above.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env,
+        impersonate: Transfer | None = None,
+        embodiment: str | None = None,
+        scene: Scene | None = None,
+        options: TransferOptions | None = None,
+        joints_key: str = "agent_pos",
+        cloud_key: str = "point_cloud",
+        start_option: str | None = "agent_pos",
+    ) -> None:
+        arguments: dict[str, Any] = {
+            "impersonate": impersonate,
+            "embodiment": embodiment,
+            "scene": scene,
+            "options": options,
+            "joints_key": joints_key,
+            "cloud_key": cloud_key,
+            "start_option": start_option,
+        }
+        gym.utils.RecordConstructorArgs.__init__(self, **arguments)
+        gym.utils.EzPickle.__init__(self, env, **arguments)
+        gym.Wrapper.__init__(self, env)
+        self._joints_key, self._cloud_key, self._start_option = joints_key, cloud_key, start_option
+        acting = self._given("embodiment", load_embodiment(embodiment) if embodiment else None)
+        self._scene: Scene = self._given("scene", scene)
+        self._check(acting)
+        shown = acting if impersonate is None else impersonate.source
+        if impersonate is not None and impersonate.target.name != acting.name:
+            raise CEIError(f"impersonate moves {shown.name} to {impersonate.target.name}, but {acting.name} acts.")
+        o = options or (TransferOptions() if impersonate is None else impersonate.options)
+        self._acting_tree = KinematicTree(acting)
+        self._synthesise = CloudSynthesiser(acting, shown, o.tau_m, o.robot_points, o.cloud_points, o.seed)
+        self._impersonation = None if impersonate is None else Impersonation(impersonate, np.eye(4))
+        spaces = dict(env.observation_space.spaces)
+        spaces[cloud_key] = _cloud_space(self._scene.workspace_world, o.cloud_points)
+        if impersonate is not None:
+            spaces[joints_key] = gym.spaces.Box(-np.inf, np.inf, (len(shown.home),), np.float32)
+            self.action_space = gym.spaces.Box(shown.lower.astype(np.float32), shown.upper.astype(np.float32))
+        self.observation_space = gym.spaces.Dict(spaces)
+        self.embodiment: Embodiment = shown
+        """The robot that the policy sees."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """As the environment's; of an impersonated robot, `options[start_option]` is its own joint positions."""
+        playing = self._impersonation
+        if playing is None:
+            observation, info = self.env.reset(seed=seed, options=options)
+            return self._shown(observation), info
+        if self._start_option is None:
+            observation, info = self.env.reset(seed=seed, options=options)
+            playing.begin_at(observation[self._joints_key])
+        else:
+            qpos = (options or {}).get(self._start_option, playing.source.home)
+            start = {self._start_option: playing.reset(self._checked(qpos, playing.source))}
+            observation, info = self.env.reset(seed=seed, options={**(options or {}), **start})
+        return self._shown(observation), info
+
+    def step(self, action: np.ndarray):
+        """As the environment's, with actions of the robot that is shown."""
+        if self._impersonation is not None:
+            wanted = self._impersonation.act(self._checked(action, self._impersonation.source))
+            action = wanted.astype(np.float32)
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._shown(observation), reward, terminated, truncated, info
+
+    def _shown(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        qpos = np.asarray(observation[self._joints_key], float)
+        points, scene, base = self._points(observation), self._scene, self._scene.T_world_base
+        kept = self._synthesise.scene(points, scene.workspace_world, qpos, base)
+        shown = {}
+        if self._impersonation is not None:
+            qpos = self._impersonation.observe(qpos)
+            shown[self._joints_key] = qpos.astype(np.float32)
+        shown[self._cloud_key] = self._synthesise(kept, scene.workspace_world, qpos, base)
+        return {**observation, **shown}
+
+    def _points(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        depth_m = self.env.get_wrapper_attr("depth_m")() if self.env.has_wrapper_attr("depth_m") else {}
+        return fuse_depth(self._scene, depth_m) if depth_m else np.asarray(observation[self._cloud_key], float)
+
+    def _given(self, name: str, value: Any) -> Any:
+        if value is not None:
+            return value
+        if not self.env.has_wrapper_attr(name):
+            raise CEIError(f"{self.env} has no attribute {name!r}; give it to the wrapper: {name}=...")
+        return self.env.get_wrapper_attr(name)
+
+    def _check(self, acting: Embodiment) -> None:
+        space, n = self.env.observation_space, len(acting.home)
+        names = list(space.spaces) if isinstance(space, gym.spaces.Dict) else []
+        for key in (self._joints_key, self._cloud_key):
+            if key not in names:
+                raise CEIError(f"observations of {self.env} have no {key!r}. They have: {', '.join(names) or space}.")
+        for what, shape in (
+            ("observed joints", space[self._joints_key].shape),
+            ("actions", self.env.action_space.shape),
+        ):
+            if shape != (n,):
+                raise CEIError(f"{acting.name} has {n} joints, but {what} of {self.env} have shape {shape}.")
+
+    @staticmethod
+    def _checked(qpos: np.ndarray, of: Embodiment) -> np.ndarray:
+        qpos = np.asarray(qpos, float)
+        if qpos.shape != (len(of.home),) or not np.isfinite(qpos).all():
+            raise CEIError(f"{of.name} takes {len(of.home)} finite joint positions, not {qpos!r}.")
+        return qpos
+
+
+def _cloud_space(workspace_world: np.ndarray, points: int) -> gym.spaces.Box:
+    lower, upper = workspace_world.astype(np.float32)
+    # An empty cloud is filled up with zeros.
+    box = (np.tile(corner, (points, 1)) for corner in (np.minimum(lower, 0), np.maximum(upper, 0)))
+    return gym.spaces.Box(*box, dtype=np.float32)
