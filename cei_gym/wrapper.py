@@ -69,7 +69,7 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         self._joints_key, self._cloud_key, self._start_option = joints_key, cloud_key, start_option
         acting = self._given("embodiment", load_embodiment(embodiment) if embodiment else None)
         self._scene: Scene = self._given("scene", scene)
-        self._check(acting)
+        spaces = self._checked_spaces(acting)
         shown = acting if impersonate is None else impersonate.source
         if impersonate is not None and impersonate.target.name != acting.name:
             raise CEIError(f"impersonate moves {shown.name} to {impersonate.target.name}, but {acting.name} acts.")
@@ -77,7 +77,6 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         self._acting_tree = KinematicTree(acting)
         self._synthesise = CloudSynthesiser(acting, shown, o.tau_m, o.robot_points, o.cloud_points, o.seed)
         self._impersonation = None if impersonate is None else Impersonation(impersonate, np.eye(4))
-        spaces = dict(env.observation_space.spaces)
         spaces[cloud_key] = _cloud_space(self._scene.workspace_world, o.cloud_points)
         if impersonate is not None:
             spaces[joints_key] = gym.spaces.Box(-np.inf, np.inf, (len(shown.home),), np.float32)
@@ -131,18 +130,18 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
             raise CEIError(f"{self.env} has no attribute {name!r}; give it to the wrapper: {name}=...")
         return self.env.get_wrapper_attr(name)
 
-    def _check(self, acting: Embodiment) -> None:
+    def _checked_spaces(self, acting: Embodiment) -> dict[str, gym.Space]:
+        """The environment's own observation spaces."""
         space, n = self.env.observation_space, len(acting.home)
-        names = list(space.spaces) if isinstance(space, gym.spaces.Dict) else []
+        spaces = dict(space.spaces) if isinstance(space, gym.spaces.Dict) else {}
         for key in (self._joints_key, self._cloud_key):
-            if key not in names:
-                raise CEIError(f"observations of {self.env} have no {key!r}. They have: {', '.join(names) or space}.")
-        for what, shape in (
-            ("observed joints", space[self._joints_key].shape),
-            ("actions", self.env.action_space.shape),
-        ):
+            if key not in spaces:
+                raise CEIError(f"observations of {self.env} have no {key!r}. They have: {', '.join(spaces) or space}.")
+        shapes = {"observed joints": spaces[self._joints_key].shape, "actions": self.env.action_space.shape}
+        for what, shape in shapes.items():
             if shape != (n,):
                 raise CEIError(f"{acting.name} has {n} joints, but {what} of {self.env} have shape {shape}.")
+        return spaces
 
     @staticmethod
     def _checked(qpos: np.ndarray, of: Embodiment) -> np.ndarray:
@@ -155,5 +154,5 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
 def _cloud_space(workspace_world: np.ndarray, points: int) -> gym.spaces.Box:
     lower, upper = workspace_world.astype(np.float32)
     # An empty cloud is filled up with zeros.
-    box = (np.tile(corner, (points, 1)) for corner in (np.minimum(lower, 0), np.maximum(upper, 0)))
-    return gym.spaces.Box(*box, dtype=np.float32)
+    low, high = (np.tile(corner, (points, 1)) for corner in (np.minimum(lower, 0), np.maximum(upper, 0)))
+    return gym.spaces.Box(low, high, dtype=np.float32)
