@@ -45,7 +45,9 @@ class Impersonation:
         """Start with the source at `qpos` (n,); joint positions (n',) of the target there, rad or m."""
         self._stream.reset()
         self.qpos = np.asarray(qpos, float)
-        return self._follow(self.qpos)
+        start = self._follow(self.qpos)
+        self._measured = self._expected.copy()
+        return start
 
     def begin_at(self, qpos: np.ndarray) -> None:
         """Start with the target at `qpos` (n',), and the source where its pads come nearest to the target's."""

@@ -151,6 +151,7 @@ class Transfer:
         self._source_shapes = link_shapes(source)
         self._follower = Follower(self.problem, self.solver_options, self.contact)
         self._sides = opposing_sides(self.source_representation, self._source_tree)
+        self._source_pads = None if self._sides is None else pad_shapes(self.source_representation, self._sides)
         self._root = next(i for i, name in enumerate(source.body_names) if name.startswith(END_EFFECTOR_PREFIX))
         self._manual: ManualAlignment | None = None
         self._synthesise = CloudSynthesiser(source, target, o.tau_m, o.robot_points, o.cloud_points, o.seed)
@@ -336,9 +337,8 @@ class Transfer:
         motion = Motion(points, normals, home, dt_s=1.0 / demonstration.fps)
         grip = self._grip(demonstration, motion)
         obstacles = self._obstacles(demonstration, scenes, points.mean(axis=1), grip) if len(scenes) else ()
-        if grip is not None and len(obstacles):
-            assert self._sides is not None
-            pads = pad_shapes(self.source_representation, self._sides).place(self._source_links(demonstration))
+        if grip is not None and self._source_pads is not None and len(obstacles):
+            pads = np.concatenate(self._source_pads.place(self._source_links(demonstration)), axis=1)
             grip = onto_objects(grip, pads, obstacles, self.contact.grip_radius_m)
         surroundings = Surroundings(self._support_z_base_m(demonstration), obstacles)
         return replace(motion, grip=grip, surroundings=surroundings)

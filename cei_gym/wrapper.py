@@ -9,7 +9,6 @@ from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.impersonation import Impersonation
-from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import fuse_depth
 from cei_gym.pointcloud.synthesise import CloudSynthesiser
 from cei_gym.transfer import Transfer, TransferOptions
@@ -74,7 +73,6 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         if impersonate is not None and impersonate.target.name != acting.name:
             raise CEIError(f"impersonate moves {shown.name} to {impersonate.target.name}, but {acting.name} acts.")
         o = options or (TransferOptions() if impersonate is None else impersonate.options)
-        self._acting_tree = KinematicTree(acting)
         self._synthesise = CloudSynthesiser(acting, shown, o.tau_m, o.robot_points, o.cloud_points, o.seed)
         self._impersonation = None if impersonate is None else Impersonation(impersonate, np.eye(4))
         spaces[cloud_key] = _cloud_space(self._scene.workspace_world, o.cloud_points)

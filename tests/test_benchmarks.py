@@ -31,6 +31,15 @@ def test_alignment(tmp_path: Path) -> None:
     assert (tmp_path / "results/speed_lambda_0.05.csv").read_text().count("\n") == len(result["methods"]) + 1
 
 
+def test_impersonation(tmp_path: Path) -> None:
+    """A real cube, in physics: the Panda's expert knows nothing of the hand that lifts it."""
+    printed = run("impersonation.py", tmp_path, "--seed=20", "--episodes=1")
+    assert printed.startswith("1 of 1 succeed")
+    result = json.loads((tmp_path / "results/PickCube-UR5e-FourierRight.json").read_text())
+    assert result["successes"] == 1
+    assert 0 < result["wrapper_ms"]["50"] <= result["wrapper_ms"]["99"]
+
+
 def test_first_frame(tmp_path: Path) -> None:
     printed = run("first_frame.py", tmp_path, "--cases=2", "--seed=0")
     assert "multistart" in printed

@@ -39,11 +39,11 @@ class GraspRefiner:
 
     def refine(self, motion: Motion, track: Track) -> Track:
         """A track with contact carried over; as it is where there is nothing to carry (no grip, one-sided hands)."""
-        if (grip := motion.grip) is None or self._sides is None or not self._contact.opposition_weight:
+        if (grip := self._grip(motion)) is None:
             return track
         reference = int(np.argmax(grip.held)) if grip.held.any() else -1
         target, grasp, away, pads = self._arrays
-        if self._turned_around(grip.axis[max(reference, 0)], self._sides, track.u[max(reference, 0)]):
+        if self._turned_around(grip.axis[max(reference, 0)], track.u[max(reference, 0)]):
             grasp = grasp._replace(side=1 - grasp.side)
         support, around, elsewhere = self._surroundings(motion, grip, len(track.u))
         u, miss = kernels.refine(
@@ -61,11 +61,15 @@ class GraspRefiner:
 
     def overlap_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
         """(T,) how deep links are in objects at (T, m) configurations, m; pads in what is gripped do not count."""
-        if motion.grip is None or self._sides is None or not self._contact.opposition_weight:
+        if (grip := self._grip(motion)) is None:
             return np.zeros(len(u))
         target, _, away, pads = self._arrays
-        _, around, elsewhere = self._surroundings(motion, motion.grip, len(u))
+        _, around, elsewhere = self._surroundings(motion, grip, len(u))
         return kernels.overlaps(target, away, pads, *around, *elsewhere, np.ascontiguousarray(u, float))
+
+    def _grip(self, motion: Motion) -> Grip | None:
+        """What there is to carry over; None without weight, or where source or target have no sides that close."""
+        return motion.grip if self._sides is not None and self._contact.opposition_weight > 0 else None
 
     @cached_property
     def _arrays(self):
@@ -112,10 +116,10 @@ class GraspRefiner:
         away = links._replace(idle=~touches)
         return target, grasp, away, links._replace(idle=touches, height_m=-np.inf)
 
-    def _turned_around(self, axis: np.ndarray, sides: np.ndarray, u: np.ndarray) -> bool:
+    def _turned_around(self, axis: np.ndarray, u: np.ndarray) -> bool:
         """Whether the target's side 0 does at `u` what the source's side 1 does, whose side 0 presses along `axis`."""
         _, normals = self._problem.place(u)
-        mean = [normals[sides == side].mean(axis=0) for side in (0, 1)]
+        mean = [normals[self._sides == side].mean(axis=0) for side in (0, 1)]
         return bool((mean[0] - mean[1]) @ axis < 0)
 
     def _surroundings(self, motion: Motion, grip: Grip, frames: int):

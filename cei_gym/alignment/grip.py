@@ -91,13 +91,12 @@ class PadShapes:
     side: np.ndarray
     vertices_link: list[np.ndarray]
 
-    def place(self, T_links: np.ndarray) -> np.ndarray:
-        """(T, V, 3) vertices of all pads, m, in the frame of the links' poses (T, L, 4, 4)."""
-        placed = [
+    def place(self, T_links: np.ndarray) -> list[np.ndarray]:
+        """For each pad (T, V, 3) vertices, m, in the frame of the links' poses (T, L, 4, 4)."""
+        return [
             np.einsum("tij,vj->tvi", T_links[:, body, :3, :3], vertices) + T_links[:, body, None, :3, 3]
             for body, vertices in zip(self.body, self.vertices_link, strict=True)
         ]
-        return np.concatenate(placed, axis=1)
 
 
 def pad_shapes(representation: FunctionalRepresentation, sides: np.ndarray) -> PadShapes:
@@ -131,9 +130,7 @@ def source_grip(
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     pads = pad_shapes(representation, sides)
     contacts = np.zeros((len(axis), 2, 3))
-    for body, side, vertices in zip(pads.body, pads.side, pads.vertices_link, strict=True):
-        T = T_base_links[:, body]
-        points = np.einsum("tij,vj->tvi", T[:, :3, :3], vertices) + T[:, None, :3, 3]
+    for side, points in zip(pads.side, pads.place(T_base_links), strict=True):
         pressing = axis if side == 0 else -axis
         depth = np.einsum("tvi,ti->tv", points, pressing)
         farthest = depth.max(axis=1, keepdims=True)
