@@ -53,7 +53,8 @@ class Demonstration:
         scene: base pose, cameras, workspace.
         task: instruction in words.
         depth_m: camera name to (T, H, W) float32 depth along the optical axis in metres, 0 where unknown.
-        point_cloud_world: (T, P, 3) float32 cloud in metres, or None.
+        rgb: camera name to (T, H, W, 3) uint8 pictures that belong to the depth, pixel for pixel.
+        point_cloud_world: (T, P, 3) float32 cloud in metres, or (T, P, 6) with colours in [0, 1], or None.
         environment_state: (T, k) float64 state of the task's objects, or None.
         environment_state_names: k names, with units.
         index: the episode's index in the dataset that it came from.
@@ -66,6 +67,7 @@ class Demonstration:
     scene: Scene
     task: str = ""
     depth_m: Mapping[str, np.ndarray] = field(default_factory=dict)
+    rgb: Mapping[str, np.ndarray] = field(default_factory=dict)
     point_cloud_world: np.ndarray | None = None
     environment_state: np.ndarray | None = None
     environment_state_names: tuple[str, ...] = ()
@@ -97,6 +99,7 @@ class Demonstration:
             qpos=self.qpos[frames],
             action=self.action[frames],
             depth_m={name: images[frames] for name, images in self.depth_m.items()},
+            rgb={name: images[frames] for name, images in self.rgb.items()},
             point_cloud_world=taken(self.point_cloud_world),
             environment_state=taken(self.environment_state),
         )

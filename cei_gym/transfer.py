@@ -38,9 +38,8 @@ from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
 from cei_gym.errors import CEIError, unknown
 from cei_gym.functional import VARIANTS, FunctionalRepresentation, directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree
-from cei_gym.pointcloud import fuse_depth
+from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, frame_points
 from cei_gym.pointcloud.remember import remember
-from cei_gym.pointcloud.synthesise import CloudSynthesiser
 
 METHODS = ("cei", "bms")
 _FIRST_FRAME_ITERATIONS = 200
@@ -62,13 +61,10 @@ class TransferOptions:
         representation: which points stand for a pad: "standard", or "reduced" or "dropped" (the paper's sensitivity
             analysis).
         points: point-normal pairs of each functional representation.
-        seed: of sampling pads and robot surfaces.
+        seed: of sampling pads.
         stretch: how many times as long an episode may become where the target is too slow to keep up: the source then waits
             for it, frame by frame. 1 keeps the frames as they are.
         unreachable_mm: mean pad distance above which a frame counts as out of the target's reach.
-        tau_m: threshold of the robot mask.
-        robot_points: points sampled over the target's whole surface.
-        cloud_points: points of a synthesised cloud.
     """
 
     method: str = "cei"
@@ -77,9 +73,6 @@ class TransferOptions:
     seed: int = 0
     stretch: float = 2.0
     unreachable_mm: float = 30.0
-    tau_m: float = 0.005
-    robot_points: int = 16384
-    cloud_points: int = 1024
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -122,7 +115,7 @@ class Transfer:
     Args:
         source: embodiment of the demonstrations.
         target: embodiment wanted.
-        options, solver, init, contact: see each class.
+        options, solver, init, contact, clouds: see each class.
         T_world_target: (4, 4) pose of the target's base; the source's own if None.
     """
 
@@ -134,6 +127,7 @@ class Transfer:
         solver: SolverOptions | None = None,
         init: InitialisationOptions | None = None,
         contact: ContactOptions | None = None,
+        clouds: CloudOptions | None = None,
         T_world_target: np.ndarray | None = None,
     ) -> None:
         self.source, self.target = source, target
@@ -154,7 +148,8 @@ class Transfer:
         self._source_pads = None if self._sides is None else pad_shapes(self.source_representation, self._sides)
         self._root = next(i for i, name in enumerate(source.body_names) if name.startswith(END_EFFECTOR_PREFIX))
         self._manual: ManualAlignment | None = None
-        self._synthesise = CloudSynthesiser(source, target, o.tau_m, o.robot_points, o.cloud_points, o.seed)
+        self._synthesiser = CloudSynthesiser(source, target, clouds)
+        self.clouds = self._synthesiser.options
         self.basins: list[Basin] = []
         """One basin a mode, once fitted."""
         self._finalists: list[Basin] = []
@@ -172,7 +167,7 @@ class Transfer:
         motions = []
         for demonstration in demonstrations:
             if demonstration.point_cloud_world is not None:  # enough here, and quicker
-                demonstration = replace(demonstration, depth_m={})
+                demonstration = replace(demonstration, depth_m={}, rgb={})
             motions.append(self._motion(demonstration, self._scenes(demonstration)))
         starts = find_basins(
             self.problem, self.solver_options, motions[0].points_base[0], motions[0].normals_base[0], self.init
@@ -236,6 +231,7 @@ class Transfer:
                 action=action,
                 scene=replace(demonstration.scene, T_world_base=base),
                 depth_m={},
+                rgb={},
                 point_cloud_world=self._clouds(demonstration, scenes, qpos) if clouds else None,
             ),
             report,
@@ -274,8 +270,8 @@ class Transfer:
         """This transfer with other points on the pads; it starts where this one does."""
         if representation not in self._other_pads:
             options = replace(self.options, representation=representation)
-            embodiments = self.source, self.target
-            other = Transfer(*embodiments, options, self.solver_options, self.init, self.contact, self._T_world_target)
+            given = self.solver_options, self.init, self.contact, self.clouds, self._T_world_target
+            other = Transfer(self.source, self.target, options, *given)
             other.basins, other._finalists = self.basins, self._finalists
             self._other_pads[representation] = other
         return self._other_pads[representation]
@@ -378,21 +374,20 @@ class Transfer:
         """For each frame points on what stands on the support surface near the hand, target's base frame."""
         T_base_world = np.linalg.inv(self._base(demonstration))
         floor = demonstration.scene.workspace_world[0, 2] + _ABOVE_SUPPORT_M
-        objects = [s[s[:, 2] > floor] @ T_base_world[:3, :3].T + T_base_world[:3, 3] for s in scenes]
+        objects = [s[s[:, 2] > floor, :3] @ T_base_world[:3, :3].T + T_base_world[:3, 3] for s in scenes]
         moved = np.zeros(len(scenes), bool) if grip is None else grip.carried_m > _CARRIED_M
         return remember(objects, hand_base, moved, _NEAR_HAND_M)
 
     def _scenes(self, demonstration: Demonstration) -> list[np.ndarray]:
-        """For each frame the recorded points (M, 3) without the source robot, world; empty where nothing was recorded."""
-        recorded = demonstration.point_cloud_world
-        if not demonstration.depth_m and recorded is None:
-            return []
-        scene = demonstration.scene
-        scenes = []
-        for t, qpos in enumerate(demonstration.qpos):
-            depth = {name: images[t] for name, images in demonstration.depth_m.items()}
-            points = fuse_depth(scene, depth) if recorded is None or depth else recorded[t]
-            scenes.append(self._synthesise.scene(points, scene.workspace_world, qpos, scene.T_world_base))
+        """For each frame the recorded points (M, 3 or 6) without the source robot, world; empty where nothing was recorded."""
+        d, scenes = demonstration, []
+        for t, qpos in enumerate(d.qpos):
+            depth_m, rgb = ({name: images[t] for name, images in each.items()} for each in (d.depth_m, d.rgb))
+            cloud = None if d.point_cloud_world is None else d.point_cloud_world[t]
+            points = frame_points(d.scene, depth_m, rgb, cloud, self.clouds.colours)
+            if points is None:
+                return []
+            scenes.append(self._synthesiser.remove(points, d.scene, qpos))
         return scenes
 
     def _clouds(
@@ -400,8 +395,8 @@ class Transfer:
     ) -> np.ndarray | None:
         if not scenes:
             return None
-        workspace, base = demonstration.scene.workspace_world, self._base(demonstration)
-        return np.stack([self._synthesise(s, workspace, q, base) for s, q in zip(scenes, qpos, strict=True)])
+        scene = replace(demonstration.scene, T_world_base=self._base(demonstration))
+        return np.stack([self._synthesiser.add(s, scene, q) for s, q in zip(scenes, qpos, strict=True)])
 
 
 @dataclass(frozen=True)

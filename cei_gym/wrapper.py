@@ -9,9 +9,8 @@ from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.impersonation import Impersonation
-from cei_gym.pointcloud import fuse_depth
-from cei_gym.pointcloud.synthesise import CloudSynthesiser
-from cei_gym.transfer import Transfer, TransferOptions
+from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, frame_points
+from cei_gym.transfer import Transfer
 
 
 class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.utils.EzPickle):
@@ -23,16 +22,17 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
     *Impersonate*: a policy trained on another robot runs unchanged. It sees that robot's joints, and a cloud in which it
     stands in the place of the one that acts; its actions are retargeted live.
 
-    Clouds come from the depth images of an environment that has them (`depth_m()`, and cameras in its scene), else from its
-    observation. The environment's `embodiment` and `scene` are used where they are not given.
+    Clouds come from the images of an environment that has them (`depth_m()`, with colours `rgb()`, and cameras in its scene), else
+    from its observation. The environment's `embodiment` and `scene` are used where they are not given.
 
     Args:
-        env: its observation is a `Dict` with joint positions (n,) and a cloud (N, 3), its actions are joint targets (n,).
+        env: its observation is a `Dict` with joint positions (n,) and a cloud (N, 3) or, with colours,
+            (N, 6), its actions are joint targets (n,).
         impersonate: from the robot that the policy was trained on to the one that acts, fitted to a few demonstrations; None to
             augment.
         embodiment: name of the robot that acts.
         scene: its base, the cameras and the workspace; the impersonated robot has the same base.
-        options: of the cloud (`tau_m`, `robot_points`, `cloud_points`, `seed`); by default those of `impersonate`.
+        clouds: options of the cloud, those that the converter had; by default those of `impersonate`.
         joints_key, cloud_key: entries of the observation.
         start_option: reset option by which the environment puts its joints somewhere, for an impersonated robot to start from
             its home, or where that very option says; None if it has no such option: the other robot then starts from where
@@ -48,7 +48,7 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         impersonate: Transfer | None = None,
         embodiment: str | None = None,
         scene: Scene | None = None,
-        options: TransferOptions | None = None,
+        clouds: CloudOptions | None = None,
         joints_key: str = "agent_pos",
         cloud_key: str = "point_cloud",
         start_option: str | None = "agent_pos",
@@ -57,7 +57,7 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
             "impersonate": impersonate,
             "embodiment": embodiment,
             "scene": scene,
-            "options": options,
+            "clouds": clouds,
             "joints_key": joints_key,
             "cloud_key": cloud_key,
             "start_option": start_option,
@@ -72,10 +72,10 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         shown = acting if impersonate is None else impersonate.source
         if impersonate is not None and impersonate.target.name != acting.name:
             raise CEIError(f"impersonate moves {shown.name} to {impersonate.target.name}, but {acting.name} acts.")
-        o = options or (TransferOptions() if impersonate is None else impersonate.options)
-        self._synthesise = CloudSynthesiser(acting, shown, o.tau_m, o.robot_points, o.cloud_points, o.seed)
+        clouds = clouds or (CloudOptions() if impersonate is None else impersonate.clouds)
+        self._synthesiser = CloudSynthesiser(acting, shown, clouds)
         self._impersonation = None if impersonate is None else Impersonation(impersonate, np.eye(4))
-        spaces[cloud_key] = _cloud_space(self._scene.workspace_world, o.cloud_points)
+        spaces[cloud_key] = _cloud_space(self._scene.workspace_world, clouds, spaces[cloud_key])
         if impersonate is not None:
             spaces[joints_key] = gym.spaces.Box(-np.inf, np.inf, (len(shown.home),), np.float32)
             self.action_space = gym.spaces.Box(shown.lower.astype(np.float32), shown.upper.astype(np.float32))
@@ -108,18 +108,22 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
 
     def _shown(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         qpos = np.asarray(observation[self._joints_key], float)
-        points, scene, base = self._points(observation), self._scene, self._scene.T_world_base
-        kept = self._synthesise.scene(points, scene.workspace_world, qpos, base)
+        kept = self._synthesiser.remove(self._points(observation), self._scene, qpos)
         shown = {}
         if self._impersonation is not None:
             qpos = self._impersonation.observe(qpos)
             shown[self._joints_key] = qpos.astype(np.float32)
-        shown[self._cloud_key] = self._synthesise(kept, scene.workspace_world, qpos, base)
+        shown[self._cloud_key] = self._synthesiser.add(kept, self._scene, qpos)
         return {**observation, **shown}
 
     def _points(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        depth_m = self.env.get_wrapper_attr("depth_m")() if self.env.has_wrapper_attr("depth_m") else {}
-        return fuse_depth(self._scene, depth_m) if depth_m else np.asarray(observation[self._cloud_key], float)
+        depth_m, rgb = (
+            self.env.get_wrapper_attr(name)() if self.env.has_wrapper_attr(name) else {} for name in ("depth_m", "rgb")
+        )
+        cloud = np.asarray(observation[self._cloud_key], float)
+        points = frame_points(self._scene, depth_m, rgb, cloud, self._synthesiser.options.colours)
+        assert points is not None
+        return points
 
     def _given(self, name: str, value: Any) -> Any:
         if value is not None:
@@ -149,8 +153,11 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         return qpos
 
 
-def _cloud_space(workspace_world: np.ndarray, points: int) -> gym.spaces.Box:
+def _cloud_space(workspace_world: np.ndarray, clouds: CloudOptions, given: gym.Space) -> gym.spaces.Box:
     lower, upper = workspace_world.astype(np.float32)
     # An empty cloud is filled up with zeros.
-    low, high = (np.tile(corner, (points, 1)) for corner in (np.minimum(lower, 0), np.maximum(upper, 0)))
+    low, high = np.minimum(lower, 0), np.maximum(upper, 0)
+    if clouds.colours and given.shape is not None and given.shape[-1] == 6:
+        low, high = np.append(low, np.zeros(3)), np.append(high, np.ones(3))
+    low, high = (np.tile(corner, (clouds.points, 1)).astype(np.float32) for corner in (low, high))
     return gym.spaces.Box(low, high, dtype=np.float32)

@@ -49,6 +49,7 @@ from cei_gym.embodiment.meshes import outermost
 from cei_gym.functional import sample_representation
 from cei_gym.functional.representation import pad_mesh
 from cei_gym.kinematics import KinematicTree
+from cei_gym.pointcloud import CloudOptions
 from cei_gym.pointcloud.remember import remember
 from cei_gym.transfer import Transfer, TransferOptions
 
@@ -681,7 +682,9 @@ def demonstration(T_world_base: np.ndarray | None = None) -> Demonstration:
 
 def transferred_grip(demonstration: Demonstration, T_world_target: np.ndarray | None = None) -> Grip:
     bodies = load_embodiment(SOURCE), load_embodiment(TARGETS[1])
-    transfer = Transfer(*bodies, TransferOptions(points=32, robot_points=64), T_world_target=T_world_target)
+    transfer = Transfer(
+        *bodies, TransferOptions(points=32), clouds=CloudOptions(robot_points=64), T_world_target=T_world_target
+    )
     return transfer._motion(demonstration).grip
 
 

@@ -14,13 +14,14 @@ from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError
 from cei_gym.functional import sample_representation
 from cei_gym.kinematics import KinematicTree
-from cei_gym.pointcloud import SurfaceSampler
+from cei_gym.pointcloud import CloudOptions, SurfaceSampler
 from cei_gym.rendering import look_at, unproject
 from cei_gym.transfer import Transfer, TransferOptions
 
 FRAMES = 12
 SOURCE, TARGETS = "Panda-PandaGripper", ("UR5e-RobotiqThreeFinger", "IIWA-Inspire")
-OPTIONS = TransferOptions(points=32, robot_points=4096)
+OPTIONS = TransferOptions(points=32)
+CLOUDS = CloudOptions(robot_points=4096)
 NO_SQUEEZE = ContactOptions(squeeze_m=0.0)
 INIT = InitialisationOptions(starts=48, iterations=15, basins=3)
 TABLE_Z = 0.0
@@ -80,7 +81,7 @@ def transfer() -> Callable[..., Transfer]:
         key = (target, *contact.items())
         if key not in fitted:
             bodies = load_embodiment(SOURCE), load_embodiment(target)
-            fitted[key] = Transfer(*bodies, OPTIONS, init=INIT, contact=ContactOptions(**contact))
+            fitted[key] = Transfer(*bodies, OPTIONS, clouds=CLOUDS, init=INIT, contact=ContactOptions(**contact))
             fitted[key].fit([demonstration()])
         return fitted[key]
 
@@ -159,7 +160,7 @@ def test_the_same_transfer_twice_is_the_same(transfer: Callable) -> None:
     target = TARGETS[0]
     first, _ = transfer(target)(demonstration())
     again, _ = transfer(target)(demonstration())
-    fresh = Transfer(load_embodiment(SOURCE), load_embodiment(target), OPTIONS, init=INIT)
+    fresh = Transfer(load_embodiment(SOURCE), load_embodiment(target), OPTIONS, clouds=CLOUDS, init=INIT)
     afresh, _ = fresh(demonstration())  # fits itself to the first demonstration it sees
     for other in (again, afresh):
         np.testing.assert_array_equal(other.qpos, first.qpos)
@@ -178,7 +179,9 @@ def test_one_basin_serves_all_demonstrations(transfer: Callable) -> None:
 def test_the_targets_base_may_stand_elsewhere() -> None:
     body, turn = load_embodiment(TARGETS[0]), np.eye(4)
     turn[:3, 3] = 0.1, -0.1, 0.05
-    fitted = Transfer(load_embodiment(SOURCE), body, OPTIONS, init=INIT, T_world_target=turn @ T_WORLD_BASE)
+    fitted = Transfer(
+        load_embodiment(SOURCE), body, OPTIONS, clouds=CLOUDS, init=INIT, T_world_target=turn @ T_WORLD_BASE
+    )
     moved, report = fitted(demonstration())
     np.testing.assert_allclose(moved.scene.T_world_base, turn @ T_WORLD_BASE)
     assert report.pad_distance_mm.max() < 15
@@ -191,7 +194,9 @@ def test_the_targets_base_may_stand_elsewhere() -> None:
 
 
 def test_a_source_transferred_to_itself_stays_what_it_is() -> None:
-    fitted = Transfer(load_embodiment(SOURCE), load_embodiment(SOURCE), OPTIONS, init=INIT, contact=NO_SQUEEZE)
+    fitted = Transfer(
+        load_embodiment(SOURCE), load_embodiment(SOURCE), OPTIONS, clouds=CLOUDS, init=INIT, contact=NO_SQUEEZE
+    )
     moved, report = fitted(demonstration())
     assert report.pad_distance_mm.max() < 0.5
     np.testing.assert_allclose(moved.qpos[:, 7:], demonstration().qpos[:, 7:], atol=5e-4)

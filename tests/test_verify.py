@@ -17,14 +17,15 @@ from cei_gym.alignment import InitialisationOptions
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
-from cei_gym.transfer import Attempt, Transfer, TransferOptions
+from cei_gym.pointcloud import CloudOptions
+from cei_gym.transfer import Attempt, Transfer
 
 SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
 ENV = f"CEI-PickCube-{TARGET}"
 # Physics does not depend on clouds, and what is tried here not on how many starts there were.
-TRANSFER = TransferOptions(robot_points=256, cloud_points=16)
+CLOUDS = CloudOptions(robot_points=256, points=16)
 INIT = InitialisationOptions(starts=32, basins=4)
-FAST = ["--transfer.robot_points=256", "--transfer.cloud_points=16", "--init.starts=32", "--init.basins=4"]
+FAST = ["--clouds.robot_points=256", "--clouds.points=16", "--init.starts=32", "--init.basins=4"]
 
 
 class FakeStage(Stage):
@@ -68,7 +69,7 @@ def demonstration(folder: Path) -> Demonstration:
 
 @pytest.fixture(scope="module")
 def transfer(demonstration: Demonstration) -> Transfer:
-    fitted = Transfer(load_embodiment(SOURCE), load_embodiment(TARGET), TRANSFER, init=INIT)
+    fitted = Transfer(load_embodiment(SOURCE), load_embodiment(TARGET), clouds=CLOUDS, init=INIT)
     fitted.fit([demonstration])
     return fitted
 

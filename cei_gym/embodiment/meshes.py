@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from cei_gym.embodiment.colours import geom_colours
 from cei_gym.errors import CEIError
 
 _OUTERMOST = (
@@ -45,19 +46,25 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
 
 
 def link_mesh(model: mujoco.MjModel, geoms: Iterable[int]) -> trimesh.Trimesh | None:
-    """Several geoms of one body as one surface in the body's frame; None if there are none."""
-    meshes = [geom_mesh(model, g) for g in geoms]
+    """Several geoms of one body as one surface in the body's frame, faces in their colours; None if there are none."""
+    meshes, rgba = [], geom_colours(model)
+    for geom in geoms:
+        meshes.append(geom_mesh(model, geom))
+        meshes[-1].visual.face_colors = rgba[geom]
     return cast(trimesh.Trimesh, trimesh.util.concatenate(meshes)) if meshes else None
 
 
+def visual_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """(ngeom,) bool: what a camera sees, a body's visual geoms, or its collision geoms where it has none."""
+    visual = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
+    has_visual = np.bincount(model.geom_bodyid, visual, model.nbody) > 0
+    return visual | ~has_visual[model.geom_bodyid]
+
+
 def visual_link_meshes(model: mujoco.MjModel) -> list[trimesh.Trimesh | None]:
-    """What a camera sees of each of the L bodies: its visual geoms, or its collision geoms where it has none."""
-    seen = []
-    for body in range(model.nbody):
-        geoms = np.flatnonzero(model.geom_bodyid == body)
-        visual = geoms[(model.geom_contype[geoms] == 0) & (model.geom_conaffinity[geoms] == 0)]
-        seen.append(link_mesh(model, visual if len(visual) else geoms))
-    return seen
+    """What a camera sees of each of the L bodies (see `visual_geoms`)."""
+    seen = visual_geoms(model)
+    return [link_mesh(model, np.flatnonzero(seen & (model.geom_bodyid == body))) for body in range(model.nbody)]
 
 
 def collision_geoms(model: mujoco.MjModel, body: int) -> np.ndarray:

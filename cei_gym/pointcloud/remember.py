@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import KDTree
 
+from cei_gym.pointcloud.thin import first_of_voxels
+
 _VOXEL_M = 0.008
 _SAME_M = 0.012  # a remembered point this near to one that is seen is that point
 
@@ -26,7 +28,8 @@ def remember(scenes: Sequence[np.ndarray], centre: np.ndarray, moved: np.ndarray
     remembered = np.zeros((0, 3))
     frames = []
     for points, hand, moving in zip(scenes, centre, moved, strict=True):
-        seen = _thin(points[np.linalg.norm(points - hand, axis=1) < radius_m])
+        near = points[np.linalg.norm(points - hand, axis=1) < radius_m]
+        seen = near[first_of_voxels(near, _VOXEL_M)]
         hidden = remembered[np.linalg.norm(remembered - hand, axis=1) < radius_m]
         if moving:
             hidden = hidden[:0]
@@ -35,9 +38,3 @@ def remember(scenes: Sequence[np.ndarray], centre: np.ndarray, moved: np.ndarray
         remembered = np.concatenate([seen, hidden])
         frames.append(remembered)
     return frames
-
-
-def _thin(points: np.ndarray) -> np.ndarray:
-    """The first point of each voxel."""
-    _, first = np.unique(np.floor(points / _VOXEL_M).astype(np.int64), axis=0, return_index=True)
-    return points[np.sort(first)]

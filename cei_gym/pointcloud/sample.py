@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import trimesh
+from numba import njit
 
 from cei_gym.errors import CEIError
 
@@ -16,6 +17,7 @@ class SurfaceSampler:
     Attributes:
         link_ids: (n,) int64, the link of each point.
         points_link: (n, 3) float64, the points in the frames of their links, metres.
+        colours: (n, 3) float64, the colours of their faces in [0, 1].
     """
 
     def __init__(self, link_meshes: Sequence[trimesh.Trimesh | None], n_points: int, seed: int = 0) -> None:
@@ -39,6 +41,8 @@ class SurfaceSampler:
         link_of_face = np.repeat(list(meshes), [len(mesh.faces) for mesh in meshes.values()])
         self.points_link = np.asarray(points_link, dtype=np.float64)
         self.link_ids = link_of_face[face]
+        colours = np.concatenate([mesh.visual.face_colors[:, :3] for mesh in meshes.values()])
+        self.colours = colours[face] / 255
 
     def __call__(self, T_world_links: np.ndarray) -> np.ndarray:
         """(n, 3) float64 points in the world, metres, for poses (L, 4, 4) of the links.
@@ -49,5 +53,15 @@ class SurfaceSampler:
         T_world_links = np.asarray(T_world_links, dtype=np.float64)
         if T_world_links.shape != (self._links, 4, 4):
             raise CEIError(f"the sampler has {self._links} links, but poses of shape {T_world_links.shape}.")
-        T = T_world_links[self.link_ids]
-        return np.einsum("nij,nj->ni", T[:, :3, :3], self.points_link) + T[:, :3, 3]
+        points_world = np.empty_like(self.points_link)
+        _move(self.points_link, self.link_ids, T_world_links, points_world)
+        return points_world
+
+
+@njit(cache=True, nogil=True)
+def _move(points_link, link_ids, T_world_links, points_world):
+    for n in range(len(points_link)):
+        T = T_world_links[link_ids[n]]
+        x, y, z = points_link[n]
+        for axis in range(3):
+            points_world[n, axis] = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]

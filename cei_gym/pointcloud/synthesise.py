@@ -2,80 +2,89 @@
 
 import numpy as np
 
+from cei_gym.demonstration import Camera, Scene
 from cei_gym.embodiment import Embodiment
 from cei_gym.embodiment.meshes import visual_link_meshes
+from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud.crop import crop
 from cei_gym.pointcloud.mask import RobotMask
+from cei_gym.pointcloud.options import CloudOptions
 from cei_gym.pointcloud.sample import SurfaceSampler
-from cei_gym.pointcloud.thin import farthest_point_sample
+from cei_gym.pointcloud.seen import SeenPoints
+from cei_gym.pointcloud.thin import farthest_point_sample, first_of_voxels
 
 
 class CloudSynthesiser:
-    """Crop, mask the source, add the target, thin: the same for every frame.
+    """Crop, mask the source, add the target, thin: the same for every frame, in the converter and at inference.
 
     Args:
         source: the robot in the recorded cloud.
         target: the robot to put in.
-        tau_m: points within this distance of the source's surface are removed (the paper's 5 mm).
-        robot_points: points sampled over the whole target before cropping.
-        cloud_points: points of the result (the paper's 1024).
-        seed: of sampling and thinning.
+        options: of the result.
     """
 
-    def __init__(
-        self,
-        source: Embodiment,
-        target: Embodiment,
-        tau_m: float,
-        robot_points: int,
-        cloud_points: int,
-        seed: int,
-    ) -> None:
+    def __init__(self, source: Embodiment, target: Embodiment, options: CloudOptions | None = None) -> None:
+        self.options = o = options or CloudOptions()
         self._source, self._target = KinematicTree(source), KinematicTree(target)
-        self._mask = RobotMask(visual_link_meshes(source.model), tau_m)
-        self._sample = SurfaceSampler(visual_link_meshes(target.model), robot_points, seed)
-        self._cloud_points, self._seed = cloud_points, seed
+        self._target_model = target.model
+        self._mask = RobotMask(visual_link_meshes(source.model), o.tau_m)
+        self._sample = SurfaceSampler(visual_link_meshes(target.model), o.robot_points, o.seed)
+        self._seen: tuple[tuple[Camera, ...], SeenPoints] | None = None
 
-    def scene(
-        self,
-        points_world: np.ndarray,
-        workspace_world: np.ndarray,
-        source_qpos: np.ndarray,
-        T_world_source: np.ndarray,
-    ) -> np.ndarray:
+    def remove(self, points_world: np.ndarray, scene: Scene, qpos: np.ndarray) -> np.ndarray:
         """One frame's recorded points without the source robot.
 
         Args:
-            points_world: (N, 3) recorded points, m; points that are not finite are dropped.
-            workspace_world: (2, 3) box, m.
-            source_qpos: joint positions of the source at this frame.
-            T_world_source: (4, 4) pose of its base.
+            points_world: (N, 3) recorded points, m, or (N, 6) with colours in [0, 1]; those not finite are dropped.
+            scene: the source's base, and the workspace that is kept.
+            qpos: joint positions of the source at this frame.
 
         Returns:
-            (M, 3) m, world.
-        """
-        scene = points_world[crop(points_world, workspace_world)]
-        return scene[~self._mask(scene, T_world_source @ self._source.forward(source_qpos))]
+            (M, 3 or 6), m, world.
 
-    def __call__(
-        self,
-        scene_world: np.ndarray,
-        workspace_world: np.ndarray,
-        target_qpos: np.ndarray,
-        T_world_target: np.ndarray,
-    ) -> np.ndarray:
+        Raises:
+            CEIError: points have neither 3 nor 6 entries.
+        """
+        if points_world.ndim != 2 or points_world.shape[1] not in (3, 6):
+            raise CEIError(
+                f"a cloud is (N, 3): x, y, z in m, or (N, 6): and r, g, b in [0, 1]; not {points_world.shape}."
+            )
+        points = points_world if self.options.colours else points_world[:, :3]
+        points = points[crop(points, scene.workspace_world)]
+        return points[~self._mask(points[:, :3], scene.T_world_base @ self._source.forward(qpos))]
+
+    def add(self, points_world: np.ndarray, scene: Scene, qpos: np.ndarray) -> np.ndarray:
         """The target's cloud of one frame.
 
         Args:
-            scene_world: (M, 3) what `scene` returned.
-            workspace_world: (2, 3) box, m.
-            target_qpos: joint positions of the target at this frame.
-            T_world_target: (4, 4) pose of its base.
+            points_world: (M, 3 or 6) what `remove` returned.
+            scene: the target's base, the workspace that is kept, and the cameras that decide what is seen, if asked for.
+            qpos: joint positions of the target at this frame.
 
         Returns:
-            (cloud_points, 3) float32, m, world.
+            (options.points, 3 or 6) float32, m, world.
+
+        Raises:
+            CEIError: only seen points are wanted, but the scene has no camera.
         """
-        robot = self._sample(T_world_target @ self._target.forward(target_qpos))
-        robot = robot[crop(robot, workspace_world)]
-        return farthest_point_sample(np.concatenate([scene_world, robot]), self._cloud_points, self._seed)
+        o = self.options
+        T_world_links = scene.T_world_base @ self._target.forward(qpos)
+        robot = self._sample(T_world_links)
+        kept = np.flatnonzero(crop(robot, scene.workspace_world))
+        if o.seen_only:
+            kept = kept[self._seen_by(scene.cameras)(robot[kept], T_world_links, points_world[:, :3])]
+        robot = robot[kept]
+        if points_world.shape[1] == 6:
+            robot = np.concatenate([robot, self._sample.colours[kept]], axis=1)
+        points = np.concatenate([points_world, robot])
+        if o.voxel_m:
+            points = points[first_of_voxels(points, o.voxel_m)]
+        return farthest_point_sample(points, o.points, o.seed)
+
+    def _seen_by(self, cameras: tuple[Camera, ...]) -> SeenPoints:
+        if not cameras:
+            raise CEIError("clouds.seen_only asks what cameras see, but the scene has none; calibrate one.")
+        if self._seen is None or self._seen[0] is not cameras:
+            self._seen = cameras, SeenPoints(self._target_model, cameras)
+        return self._seen[1]

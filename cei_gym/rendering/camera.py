@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cei_gym.demonstration import Camera
 from cei_gym.rendering.rasteriser import rasterise
@@ -26,6 +27,7 @@ class DepthCamera:
         cameras: Sequence[Camera],
         groups: Sequence[int] = (1,),
         cluster_m: float = 0.001,
+        geoms: np.ndarray | None = None,
     ) -> None:
         """
         Args:
@@ -33,13 +35,14 @@ class DepthCamera:
             cameras: viewpoints, in the world.
             groups: geom groups to draw; robosuite's visual geoms are in group 1.
             cluster_m: meshes are simplified to this detail, metres; 0 keeps them whole.
+            geoms: (ngeom,) bool, what to draw instead of `groups`.
 
         Raises:
             CEIError: no geom is in these groups, or one cannot be drawn.
         """
         self.cameras = tuple(cameras)
         self._model = model
-        self._triangles = collect(model, visible_geoms(model, groups), cluster_m)
+        self._triangles = collect(model, visible_geoms(model, groups) if geoms is None else geoms, cluster_m)
 
     def render(self, data: mujoco.MjData) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Images of the scene as `data` has it (after `mj_forward` or `mj_kinematics`).
@@ -48,9 +51,20 @@ class DepthCamera:
             camera name to depth (H, W) float32, metres along the optical axis, and geom id (H, W) int32;
             0 and -1 where nothing is.
         """
+        geom_id = self._triangles.geom_id
+        return self._render(data.geom_xmat[geom_id].reshape(-1, 3, 3), data.geom_xpos[geom_id])
+
+    def render_at(self, T_world_bodies: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """The same images with the model's bodies at the poses (nbody, 4, 4)."""
+        geom_id = self._triangles.geom_id
+        T_world_body = T_world_bodies[self._model.geom_bodyid[geom_id]]
+        R_world_body = T_world_body[:, :3, :3]
+        p_world_geom = np.einsum("gij,gj->gi", R_world_body, self._model.geom_pos[geom_id]) + T_world_body[:, :3, 3]
+        R_body_geom = Rotation.from_quat(self._model.geom_quat[geom_id], scalar_first=True).as_matrix()
+        return self._render(R_world_body @ R_body_geom, p_world_geom)
+
+    def _render(self, R_world_geom: np.ndarray, p_world_geom: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         triangles = self._triangles
-        R_world_geom = data.geom_xmat[triangles.geom_id].reshape(-1, 3, 3)
-        p_world_geom = data.geom_xpos[triangles.geom_id]
         scale, shift = geom_scale(self._model, triangles.geom_id)
         images = {}
         for camera in self.cameras:

@@ -6,6 +6,7 @@ an image is ((W - 1) / 2, (H - 1) / 2).
 
 import mujoco
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 
 from cei_gym.demonstration import Camera
@@ -90,9 +91,44 @@ def unproject(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
         raise CEIError(
             f"camera {camera.name!r} takes images of {(camera.height, camera.width)}, not of {depth_m.shape}."
         )
-    known = np.isfinite(depth_m) & (depth_m > 0)
-    v, u = np.nonzero(known)
-    z = depth_m[known].astype(np.float64)
-    K = camera.K
-    points_camera = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], axis=1)
-    return points_camera @ camera.T_world_camera[:3, :3].T + camera.T_world_camera[:3, 3]
+    K, T = camera.K, camera.T_world_camera
+    points_world = np.empty((depth_m.size, 3))
+    count = _unproject(depth_m, K[0, 0], K[1, 1], K[0, 2], K[1, 2], T, points_world)
+    return points_world[:count]
+
+
+def project(points_world: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Where points appear in a camera's image: the inverse of `unproject`, to a whole pixel.
+
+    Args:
+        points_world: (N, 3) metres.
+        camera: the camera.
+
+    Returns:
+        (N, 2) int64 row and column of the nearest pixel, -1 for points beside the image or behind the camera; (N,) depth
+        along the optical axis, metres.
+    """
+    points_camera = (points_world - camera.T_world_camera[:3, 3]) @ camera.T_world_camera[:3, :3]
+    depth_m, K = points_camera[:, 2], camera.K
+    pixel = np.full((len(points_world), 2), -1)
+    ahead = np.flatnonzero(depth_m > 0)
+    x, y = (points_camera[ahead, :2] / depth_m[ahead, None]).T
+    row, column = np.rint(y * K[1, 1] + K[1, 2]), np.rint(x * K[0, 0] + K[0, 2])
+    inside = (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
+    pixel[ahead[inside]] = np.stack([row, column], axis=1)[inside]
+    return pixel, depth_m
+
+
+@njit(cache=True, nogil=True)
+def _unproject(depth_m, fx, fy, cx, cy, T, points_world):
+    count = 0
+    for v in range(depth_m.shape[0]):
+        for u in range(depth_m.shape[1]):
+            z = np.float64(depth_m[v, u])
+            if not (np.isfinite(z) and z > 0.0):
+                continue
+            x, y = (u - cx) / fx * z, (v - cy) / fy * z
+            for axis in range(3):
+                points_world[count, axis] = x * T[axis, 0] + y * T[axis, 1] + z * T[axis, 2] + T[axis, 3]
+            count += 1
+    return count

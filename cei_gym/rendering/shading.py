@@ -1,32 +1,12 @@
 """A readable picture from depth and geom ids, for films and tables where no graphics library exists."""
 
-import mujoco
 import numpy as np
 
 from cei_gym.demonstration import Camera
 from cei_gym.rendering.pinhole import camera_points
 
 _BACKGROUND = (0.93, 0.94, 0.96)
-_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 _SHEEN = 0.12  # keeps the shape of black parts visible
-
-
-def geom_colours(model: mujoco.MjModel) -> np.ndarray:
-    """(ngeom, 4) RGBA in [0, 1]: a geom's own colour, else its material's, times its texture's mean.
-
-    MuJoCo's rule: a geom shows its material, if it has one, unless its own colour is not the default grey.
-    """
-    material_rgba = model.mat_rgba.copy()
-    for material, texture in enumerate(model.mat_texid[:, mujoco.mjtTextureRole.mjTEXROLE_RGB]):
-        if texture >= 0:
-            channels = model.tex_nchannel[texture]
-            size = model.tex_height[texture] * model.tex_width[texture] * channels
-            texels = model.tex_data[model.tex_adr[texture] :][:size].reshape(-1, channels)
-            material_rgba[material, :3] *= texels[:, :3].mean(axis=0) / 255
-    rgba = model.geom_rgba.copy()
-    shows_material = (model.geom_matid >= 0) & (rgba == _DEFAULT_RGBA).all(axis=1)
-    rgba[shows_material] = material_rgba[model.geom_matid[shows_material]]
-    return rgba
 
 
 def shade(depth_m: np.ndarray, geom_id: np.ndarray, camera: Camera, rgba_per_geom: np.ndarray) -> np.ndarray:

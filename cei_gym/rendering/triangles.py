@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from cei_gym.embodiment.colours import geom_colours
 from cei_gym.errors import CEIError
 from cei_gym.rendering.clustering import cluster_vertices, is_closed
-from cei_gym.rendering.shading import geom_colours
 from cei_gym.rendering.shapes import is_mesh, unit_shape
 
 

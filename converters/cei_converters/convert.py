@@ -13,6 +13,7 @@ from cei_converters.quality import check_reached, print_table
 from cei_converters.verify import Verdict, Verifier, VerifyOptions, check_kept, open_stage, sentence, summarise, without
 from cei_gym.alignment import ContactOptions, InitialisationOptions, SolverOptions
 from cei_gym.errors import CEIError, unknown
+from cei_gym.pointcloud import CloudOptions
 from cei_gym.transfer import TransferOptions
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ class ConvertConfig:
     solver: SolverOptions = field(default_factory=SolverOptions)
     contact: ContactOptions = field(default_factory=ContactOptions)
     transfer: TransferOptions = field(default_factory=TransferOptions)
+    clouds: CloudOptions = field(default_factory=CloudOptions)
     verify: VerifyOptions = field(default_factory=VerifyOptions)  # Replay and retry, with --verify.
 
 
@@ -91,6 +93,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             config.solver,
             config.init,
             config.contact,
+            config.clouds,
             pose,
         )
         verifier = None
@@ -179,6 +182,7 @@ def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: 
         "solver": config.solver,
         "contact": config.contact,
         "transfer": config.transfer,
+        "clouds": config.clouds,
         **({"verify": config.verify} if config.verify.enabled else {}),
     }
     return DatasetWriter(

@@ -18,7 +18,7 @@ from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 
 # Nothing but joints is replayed, and they do not depend on the clouds that a policy would see: a third of a conversion.
-JOINTS_ONLY = ("--transfer.robot_points=256", "--transfer.cloud_points=16")
+JOINTS_ONLY = ("--clouds.robot_points=256", "--clouds.points=16")
 
 
 def record_source(task: str, folder: Path, seeds: range) -> list[int]:

@@ -1,0 +1,37 @@
+"""What a synthesised cloud is like."""
+
+from dataclasses import dataclass
+
+from cei_gym.errors import CEIError
+
+
+@dataclass(frozen=True)
+class CloudOptions:
+    """Options of synthesised clouds; the converter and `CrossEmbodimentWrapper` must agree on them.
+
+    Attributes:
+        points: of a cloud (the paper's 1024).
+        robot_points: points sampled over the whole surface of the robot that is put in; about a fifth lie in the workspace.
+        tau_m: points within this distance of the surface of the robot that is taken out are removed (the paper's 5 mm).
+        voxel_m: before thinning, keep one point a cell of this edge; 0 keeps all, as the paper does.
+        seen_only: put in only those points of the robot that the scene's cameras would see.
+        colours: keep colours where they are recorded: points are then x, y, z in m and r, g, b in [0, 1].
+        seed: of sampling and thinning.
+    """
+
+    points: int = 1024
+    robot_points: int = 16384
+    tau_m: float = 0.005
+    voxel_m: float = 0.0
+    seen_only: bool = False
+    colours: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("points", "robot_points"):
+            if getattr(self, name) < 1:
+                raise CEIError(f"clouds.{name}={getattr(self, name)} must be at least 1.")
+        if not 0 < self.tau_m < float("inf"):
+            raise CEIError(f"clouds.tau_m={self.tau_m} must be positive and finite.")
+        if not 0 <= self.voxel_m < float("inf"):
+            raise CEIError(f"clouds.voxel_m={self.voxel_m} must be at least 0 and finite.")
