@@ -20,7 +20,7 @@ class CloudOptions:
     """
 
     points: int = 1024
-    robot_points: int = 16384
+    robot_points: int = 8192
     tau_m: float = 0.005
     voxel_m: float = 0.0
     seen_only: bool = False

@@ -1,10 +1,12 @@
 """Points on the robot's surface (paper, section IV-C: "sampling points across the robot's mesh")."""
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 import trimesh
 from numba import njit
+from trimesh.visual import ColorVisuals
 
 from cei_gym.errors import CEIError
 
@@ -41,7 +43,7 @@ class SurfaceSampler:
         link_of_face = np.repeat(list(meshes), [len(mesh.faces) for mesh in meshes.values()])
         self.points_link = np.asarray(points_link, dtype=np.float64)
         self.link_ids = link_of_face[face]
-        colours = np.concatenate([mesh.visual.face_colors[:, :3] for mesh in meshes.values()])
+        colours = np.concatenate([cast(ColorVisuals, mesh.visual).face_colors[:, :3] for mesh in meshes.values()])
         self.colours = colours[face] / 255
 
     def __call__(self, T_world_links: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ class SeenPoints:
         Args:
             points_world: on the robot's surface, metres.
             T_world_links: (L, 4, 4) poses of its links.
-            scene_world: (M, 3) points of everything else that may stand in front, metres.
+            scene_world: (M, 3) points of everything else, metres; each hides what is behind it within its pixel.
 
         Returns:
             (N,) bool.
