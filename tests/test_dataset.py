@@ -5,9 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from lerobot.utils.utils import flatten_dict
 
+from cei_converters import schema
 from cei_converters.card import source_license
+from cei_converters.columns import encode
 from cei_converters.metadata import Environment, Metadata, Source
 from cei_converters.provenance import collect, command_line, fingerprint
 from cei_converters.reader import DatasetReader
@@ -74,6 +78,55 @@ def test_stock_lerobot_loads_and_iterates(root: Path) -> None:
     for key in set(dataset.features) - {"timestamp"}:
         assert np.isfinite(dataset.meta.stats[key]["mean"]).all(), key
     assert dataset.features["observation.state"]["names"][6:8] == ["joint7.pos_rad", "finger_joint1.pos_m"]
+
+
+def test_equals_what_lerobots_own_writer_writes(root: Path, tmp_path: Path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    features = schema.features(load_embodiment(ROBOT), EPISODES[0])
+    stock = LeRobotDataset.create(
+        REPO_ID, fps=20, features=features, root=tmp_path / "stock", robot_type=ROBOT, use_videos=False
+    )
+    for episode in EPISODES:
+        for frame in range(len(episode)):
+            values = {key: column[frame] for key, column in encode(episode).items()}
+            stock.add_frame({**values, "task": episode.task})
+        stock.save_episode()
+    stock.finalize()
+    info, stats = (
+        [json.loads((folder / "meta" / file).read_text()) for folder in (root, stock.root)]
+        for file in ("info.json", "stats.json")
+    )
+    assert info[0] == info[1]
+    ours, theirs = (flatten_dict(each) for each in stats)
+    assert ours.keys() == theirs.keys()
+    for key in ours:
+        np.testing.assert_allclose(ours[key], theirs[key], rtol=1e-6, err_msg=key)
+    for file in ("data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/tasks.parquet"):
+        ours, theirs = (pq.read_table(folder / file) for folder in (root, stock.root))
+        assert ours.schema == theirs.schema, file
+        assert ours.equals(theirs), file
+    described = [
+        json.loads(pq.read_schema(folder / "data/chunk-000/file-000.parquet").metadata[b"huggingface"])["info"]
+        for folder in (root, stock.root)
+    ]
+    assert described[0]["features"] == described[1]["features"]
+    assert pq.read_metadata(root / "data/chunk-000/file-000.parquet").num_row_groups == len(EPISODES)
+
+
+def test_large_datasets_go_into_several_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    monkeypatch.setattr("lerobot.datasets.feature_utils.DEFAULT_DATA_FILE_SIZE_IN_MB", 0.2)
+    with DatasetWriter(REPO_ID, tmp_path / "pick") as writer:
+        for episode in (*EPISODES, EPISODES[0]):
+            writer.add(episode)
+    files = sorted((tmp_path / "pick/data").rglob("*.parquet"))
+    assert len(files) > 1
+    assert max(file.stat().st_size for file in files) < 0.2 * 1024**2
+    assert len(LeRobotDataset(REPO_ID, tmp_path / "pick")) == 19
+    reader = DatasetReader(REPO_ID, tmp_path / "pick")
+    np.testing.assert_array_equal(reader.read(2).point_cloud_world, EPISODES[0].point_cloud_world)
 
 
 def test_read_back_equals_what_was_written(root: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from cei_converters import schema
 from cei_converters.card import write_card
 from cei_converters.columns import encode
+from cei_converters.episodes import EpisodeWriter
 from cei_converters.metadata import Environment, Metadata, Provenance, check_scene, plain
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
@@ -58,7 +59,7 @@ class DatasetWriter:
         self._records: list[dict[str, Any]] = []
         self._first: Demonstration | None = None
         self._features: dict[str, dict] = {}
-        self._dataset: Any = None
+        self._episodes: EpisodeWriter | None = None
 
     def __enter__(self) -> Self:
         if self.root.exists():
@@ -83,30 +84,21 @@ class DatasetWriter:
             self._start(demonstration)
         else:
             self._check_matches_first(demonstration, where)
-        from lerobot.datasets.io_utils import SuppressProgressBars
-
-        frames = encode(demonstration)
-        for frame in range(len(demonstration)):
-            values = {key: column[frame] for key, column in frames.items()}
-            self._dataset.add_frame({**values, "task": demonstration.task})
-        with SuppressProgressBars():  # of embedding images, one an episode
-            self._dataset.save_episode()
+        assert self._episodes is not None
+        self._episodes.add(encode(demonstration), demonstration.task)
         self._records.append(plain(record or {}))
 
     def _start(self, first: Demonstration) -> None:
-        from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
         if first.fps != int(first.fps):
             raise CEIError(f"fps {first.fps} is not an integer, as LeRobot requires.")
         check_scene(first.scene, "episode 0")
         self._features = schema.features(load_embodiment(first.embodiment), first)
-        self._dataset = LeRobotDataset.create(
+        self._episodes = EpisodeWriter(
             self.repo_id,
+            self._partial,
             fps=int(first.fps),
             features=self._features,
-            root=self._partial,
             robot_type=first.embodiment,
-            use_videos=False,
         )
         # only what later episodes are compared with, not its frames
         self._first = _without_frames(first)
@@ -133,8 +125,8 @@ class DatasetWriter:
             if error is None:
                 self._finish()
         finally:
-            if self._dataset is not None:
-                self._dataset.finalize()
+            if self._episodes is not None:
+                self._episodes.finalize()
             if self._partial.exists():
                 shutil.rmtree(self._partial)
             for folder in self._new_folders:
@@ -142,12 +134,9 @@ class DatasetWriter:
                     folder.rmdir()
 
     def _finish(self) -> None:
-        if self._first is None:
+        if self._first is None or self._episodes is None:
             raise CEIError(f"no episode was written, so {self.root} is not made.")
-        self._dataset.finalize()
-        images = self._partial / "images"
-        if images.exists():  # LeRobot's staging area, empty by now
-            shutil.rmtree(images)
+        self._episodes.finalize()
         metadata = Metadata(
             embodiment=self._first.embodiment,
             scene=self._first.scene,

@@ -1,0 +1,134 @@
+"""Append whole episodes to a LeRobot v3.0 dataset.
+
+LeRobot's own writer takes frames as a robot gives them, one by one, and spends most of its time on each. Here an episode
+is one Arrow table from the start. Features, metadata, statistics and layout of files are LeRobot's, by its own functions.
+"""
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+_MB = 1024**2
+
+
+class EpisodeWriter:
+    """Writes the files of one dataset; `finalize` completes them.
+
+    Args:
+        repo_id: name of the dataset.
+        root: its folder, which must not exist.
+        fps: frames a second.
+        features: LeRobot's description of each column, without those that every dataset has (index, timestamp, ...).
+        robot_type: what the dataset is of.
+    """
+
+    def __init__(self, repo_id: str, root: Path, *, fps: int, features: dict[str, dict], robot_type: str) -> None:
+        from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+        from lerobot.datasets.feature_utils import get_hf_features_from_features
+
+        self._meta = LeRobotDatasetMetadata.create(
+            repo_id, fps=fps, features=features, root=root, robot_type=robot_type, use_videos=False
+        )
+        self._hf_features = get_hf_features_from_features(self._meta.features)
+        self._schema: pa.Schema = self._hf_features.arrow_schema
+        self._file: pq.ParquetWriter | None = None
+        self._place = 0, 0  # chunk, file
+
+    def add(self, columns: Mapping[str, np.ndarray], task: str) -> None:
+        """Append an episode.
+
+        Args:
+            columns: feature key to (T, ...) values of the feature's type; images as (T, H, W, channels).
+            task: what it shows, in words.
+        """
+        frames = len(next(iter(columns.values())))
+        start = int(self._meta.total_frames)
+        self._meta.save_episode_tasks([task])
+        frame_index = np.arange(frames)
+        columns = {
+            **columns,
+            "timestamp": frame_index / self._meta.fps,
+            "frame_index": frame_index,
+            "episode_index": np.full(frames, self._meta.total_episodes),
+            "index": start + frame_index,
+            "task_index": np.full(frames, self._meta.get_task_index(task)),
+        }
+        arrays = [self._arrow(key, columns[key]) for key in self._schema.names]
+        self._write(pa.Table.from_arrays(arrays, schema=self._schema))
+        chunk, file = self._place
+        place = {
+            "data/chunk_index": chunk,
+            "data/file_index": file,
+            "dataset_from_index": start,
+            "dataset_to_index": start + frames,
+        }
+        statistics = {key: self._statistics(key, columns[key]) for key in self._schema.names}
+        self._meta.save_episode(self._meta.total_episodes, frames, [task], statistics, place)
+
+    def finalize(self) -> None:
+        """Complete the files. May be called more than once."""
+        self._close_file()
+        self._meta.finalize()
+
+    def _arrow(self, key: str, values: np.ndarray) -> pa.Array:
+        from datasets.features.features import numpy_to_pyarrow_listarray
+        from datasets.table import cast_array_to_feature
+
+        if key in self._meta.image_keys:
+            return _images(values)
+        shape = tuple(self._meta.features[key]["shape"])
+        values = values.reshape(len(values), *(() if shape == (1,) else shape))  # LeRobot stores (1,) as scalars
+        return cast_array_to_feature(numpy_to_pyarrow_listarray(values), self._hf_features[key])
+
+    def _statistics(self, key: str, values: np.ndarray) -> dict[str, np.ndarray]:
+        """As LeRobot's `compute_episode_stats`, which reads images from files."""
+        from lerobot.datasets.compute_stats import auto_downsample_height_width, get_feature_stats, sample_indices
+
+        if key not in self._meta.image_keys:
+            return get_feature_stats(values, axis=0, keepdims=values.ndim == 1)
+        images = values[sample_indices(len(values))].transpose(0, 3, 1, 2)
+        small = np.stack([auto_downsample_height_width(image) for image in images])
+        stats = get_feature_stats(small, axis=(0, 2, 3), keepdims=True)
+        return {name: value if name == "count" else value[0] for name, value in stats.items()}
+
+    def _write(self, table: pa.Table) -> None:
+        """One row group an episode, so that a reader finds it without the others."""
+        from lerobot.datasets.utils import update_chunk_file_indices
+
+        path = self._path()
+        if self._file is not None and path.stat().st_size + table.nbytes >= self._meta.data_files_size_in_mb * _MB:
+            self._close_file()
+            self._place = update_chunk_file_indices(*self._place, self._meta.chunks_size)
+            path = self._path()
+        if self._file is None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # coordinates hardly repeat: a dictionary of them is slow to make and larger than they are
+            self._file = pq.ParquetWriter(path, table.schema, compression="zstd", use_dictionary=False)
+        self._file.write_table(table)
+
+    def _path(self) -> Path:
+        chunk, file = self._place
+        return self._meta.root / self._meta.data_path.format(chunk_index=chunk, file_index=file)
+
+    def _close_file(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
+def _images(images: np.ndarray) -> pa.Array:
+    """(T, H, W, 1) depth as LeRobot's TIFF, in the cells of `datasets.Image`."""
+    from datasets import Image
+    from lerobot.datasets.image_writer import image_array_to_pil_image, save_kwargs_for_path
+
+    cells: list[dict[str, Any]] = []
+    for frame, image in enumerate(images):
+        path, buffer = Path(f"frame-{frame:06d}.tiff"), io.BytesIO()
+        image_array_to_pil_image(image).save(buffer, format="TIFF", **save_kwargs_for_path(path, 0))
+        cells.append({"bytes": buffer.getvalue(), "path": str(path)})
+    return pa.array(cells, Image().pa_type)
