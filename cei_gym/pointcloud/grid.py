@@ -97,21 +97,26 @@ def mark_near(grid, points_world, R_link_world, p_link_world, reach_m, near):
     """
     start, entry, triangles = grid.start, grid.entry, grid.triangles
     cells, reach = 1.0 / grid.cell_m, reach_m / grid.cell_m
-    for link in range(len(R_link_world)):
-        R = R_link_world[link]
-        p = p_link_world[link]
-        x0, y0, z0 = grid.origin[link, 0], grid.origin[link, 1], grid.origin[link, 2]
-        nx, ny, nz = grid.count[link, 0], grid.count[link, 1], grid.count[link, 2]
-        first = grid.first_cell[link]
-        for n in range(len(points_world)):
-            a, b, c = points_world[n, 0], points_world[n, 1], points_world[n, 2]
+    links, centre, square_radius = _spheres(grid, R_link_world, p_link_world)
+    for n in range(len(points_world)):
+        a, b, c = points_world[n, 0], points_world[n, 1], points_world[n, 2]
+        for k in range(len(links)):
+            dx, dy, dz = a - centre[k, 0], b - centre[k, 1], c - centre[k, 2]
+            if not dx * dx + dy * dy + dz * dz <= square_radius[k]:
+                continue
+            link = links[k]
+            R = R_link_world[link]
+            p = p_link_world[link]
+            x0, y0, z0 = grid.origin[link, 0], grid.origin[link, 1], grid.origin[link, 2]
+            nx, ny, nz = grid.count[link, 0], grid.count[link, 1], grid.count[link, 2]
             x = R[0, 0] * a + R[0, 1] * b + R[0, 2] * c + p[0]
             y = R[1, 0] * a + R[1, 1] * b + R[1, 2] * c + p[1]
             z = R[2, 0] * a + R[2, 1] * b + R[2, 2] * c + p[2]
             u, v, w = (x - x0) * cells, (y - y0) * cells, (z - z0) * cells
-            if near[n] or not (0.0 <= u < nx and 0.0 <= v < ny and 0.0 <= w < nz):
+            if not (0.0 <= u < nx and 0.0 <= v < ny and 0.0 <= w < nz):
                 continue
             # A point on the robot nearly always has a triangle in its own cell.
+            first = grid.first_cell[link]
             cell = first + (int(u) * ny + int(v)) * nz + int(w)
             near[n] = _any_within(start, entry, triangles, cell, cell, x, y, z, reach_m)
             for i in range(int(max(0.0, u - reach)), int(min(nx - 1.0, u + reach)) + 1):
@@ -121,6 +126,22 @@ def mark_near(grid, points_world, R_link_world, p_link_world, reach_m, near):
                     row = first + (i * ny + j) * nz
                     low, high = row + int(max(0.0, w - reach)), row + int(min(nz - 1.0, w + reach))
                     near[n] = _any_within(start, entry, triangles, low, high, x, y, z, reach_m)
+            if near[n]:
+                break
+
+
+@njit(cache=True, nogil=True)
+def _spheres(grid, R_link_world, p_link_world):
+    """The links that have cells, and a sphere around those in the world: centre (K, 3), m, and squared radius (K,)."""
+    links = np.flatnonzero(grid.count[:, 0] * grid.count[:, 1] * grid.count[:, 2] > 0)
+    centre, square_radius = np.empty((len(links), 3)), np.empty(len(links))
+    for k in range(len(links)):
+        half = 0.5 * grid.cell_m * grid.count[links[k]]
+        square_radius[k] = (half**2).sum() * (1.0 + 1e-9)
+        middle = grid.origin[links[k]] + half - p_link_world[links[k]]
+        for axis in range(3):
+            centre[k, axis] = (R_link_world[links[k], :, axis] * middle).sum()
+    return links, centre, square_radius
 
 
 @njit(cache=True, nogil=True)

@@ -11,7 +11,8 @@ class CloudOptions:
 
     Attributes:
         points: of a cloud (the paper's 1024).
-        robot_points: points sampled over the whole surface of the robot that is put in; about a fifth lie in the workspace.
+        robot_points: sampled over the whole surface of the robot that is put in; of those that lie in the workspace, at most twice
+            `points` are drawn for thinning.
         tau_m: points within this distance of the surface of the robot that is taken out are removed (the paper's 5 mm).
         voxel_m: before thinning, keep one point a cell of this edge; 0 keeps all, as the paper does.
         seen_only: put in only those points of the robot that the scene's cameras would see.
@@ -20,7 +21,7 @@ class CloudOptions:
     """
 
     points: int = 1024
-    robot_points: int = 8192
+    robot_points: int = 16384
     tau_m: float = 0.005
     voxel_m: float = 0.0
     seen_only: bool = False

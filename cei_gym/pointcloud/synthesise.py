@@ -14,6 +14,10 @@ from cei_gym.pointcloud.sample import SurfaceSampler
 from cei_gym.pointcloud.seen import SeenPoints
 from cei_gym.pointcloud.thin import farthest_point_sample, first_of_voxels
 
+_CANDIDATES = (
+    2  # a point: more spread hardly better (mean distance to the cloud 5.0 mm, with four 4.8), and thin slower
+)
+
 
 class CloudSynthesiser:
     """Crop, mask the source, add the target, thin: the same for every frame, in the converter and at inference.
@@ -74,6 +78,7 @@ class CloudSynthesiser:
         kept = np.flatnonzero(crop(robot, scene.workspace_world))
         if o.seen_only:
             kept = kept[self._seen_by(scene.cameras)(robot[kept], T_world_links, points_world[:, :3])]
+        kept = kept[: _CANDIDATES * o.points]  # samples are in random order, so the first are as uniform as all
         robot = robot[kept]
         if points_world.shape[1] == 6:
             robot = np.concatenate([robot, self._sample.colours[kept]], axis=1)

@@ -2,10 +2,11 @@
 
 import fpsample
 import numpy as np
+from numba import njit
 
 from cei_gym.errors import CEIError
 
-_TREE_HEIGHT = 4
+_LARGE = 6000  # from here a higher tree is quicker, by about a tenth
 
 
 def farthest_point_sample(points: np.ndarray, n: int = 1024, seed: int = 0) -> np.ndarray:
@@ -31,7 +32,9 @@ def farthest_point_sample(points: np.ndarray, n: int = 1024, seed: int = 0) -> n
     if len(points) <= n:
         return np.concatenate([points, points[random.integers(len(points), size=n - len(points))]])
     start = int(random.integers(len(points)))
-    height = min(_TREE_HEIGHT, len(points).bit_length() - 1)  # a tree has no more buckets than points
+    height = min(
+        5 if len(points) > _LARGE else 4, len(points).bit_length() - 1
+    )  # a tree has no more buckets than points
     return points[fpsample.bucket_fps_kdline_sampling(points[:, :3], n, h=height, start_idx=start)]
 
 
@@ -42,11 +45,22 @@ def first_of_voxels(points: np.ndarray, voxel_m: float) -> np.ndarray:
         points: (N, 3) metres, finite, or (N, 6) with colours.
         voxel_m: edge of a cell, metres.
     """
-    cells = np.floor(points[:, :3] / voxel_m).astype(np.int64)
-    if not len(cells):
-        return np.zeros(0, dtype=np.int64)
-    cells -= cells.min(axis=0)
-    _, y_count, z_count = 1 + cells.max(axis=0)
-    # One number a cell: numpy sorts numbers several times as fast as rows.
-    _, first = np.unique((cells[:, 0] * y_count + cells[:, 1]) * z_count + cells[:, 2], return_index=True)
-    return np.sort(first)
+    slots = np.full(1 << (2 * len(points)).bit_length(), -1)
+    return np.flatnonzero(_is_first(np.floor(points[:, :3] / voxel_m).astype(np.int64), slots))
+
+
+@njit(cache=True, nogil=True)
+def _is_first(cells, slots):
+    """(N,) whether no earlier row of cells (N, 3) is the same; slots: a hash table, -1, a power of two long, of rows."""
+    first = np.zeros(len(cells), dtype=np.bool_)
+    for n in range(len(cells)):
+        x, y, z = cells[n]
+        slot = (x * 73856093 ^ y * 19349663 ^ z * 83492791) & (len(slots) - 1)
+        while slots[slot] >= 0:
+            other = slots[slot]
+            if cells[other, 0] == x and cells[other, 1] == y and cells[other, 2] == z:
+                break
+            slot = (slot + 1) & (len(slots) - 1)
+        else:
+            slots[slot], first[n] = n, True
+    return first

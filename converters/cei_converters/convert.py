@@ -1,6 +1,7 @@
 """`cei-convert`: one robot's LeRobot dataset becomes another's."""
 
 import contextlib
+import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from cei_converters.metadata import Environment, Provenance
     from cei_converters.reader import DatasetReader
     from cei_converters.writer import DatasetWriter
+    from cei_gym.alignment import AlignmentReport
+    from cei_gym.demonstration import Demonstration
     from cei_gym.transfer import Transfer
 
 EXAMPLE = """example:
@@ -48,6 +51,7 @@ class ConvertConfig:
     push_to_hub: bool = False  # Upload the converted dataset.
     private: bool = False  # Make the uploaded dataset private.
     json: str | None = None  # File for the result as JSON.
+    workers: int | None = None  # Episodes that are moved at the same time; default: one a core. With --verify, one.
     init: InitialisationOptions = field(default_factory=InitialisationOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
     contact: ContactOptions = field(default_factory=ContactOptions)
@@ -144,6 +148,8 @@ def _check_options(config: ConvertConfig) -> None:
     for name in (config.target, config.source):
         if name is not None and name not in embodiment_names():
             raise unknown("embodiment", name, embodiment_names())
+    if config.workers is not None and config.workers < 1:
+        raise CEIError(f"--workers={config.workers} must be at least 1.")
     if config.dry_run and config.push_to_hub:
         raise CEIError("--dry_run writes nothing, so there is nothing for --push_to_hub; leave one out.")
     if not config.dry_run:
@@ -231,36 +237,39 @@ def _transfer_episodes(
     config: ConvertConfig,
     reader: "DatasetReader",
     selected: list[int],
-    transfer: Any,
+    transfer: "Transfer",
     writer: "DatasetWriter | None",
     verifier: Verifier | None,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]], list[Verdict]]:
     """Summaries for the table, residuals frame by frame, and what a verifier says; dropped episodes included."""
     from cei_converters.progress import progress_bar
+    from cei_converters.workers import in_order
+
+    def moved(item: tuple[int, int]) -> tuple["Demonstration", "AlignmentReport", Verdict | None]:
+        i, index = item
+        recorded, mode = reader.read(index), i % config.init.modes  # motions take turns: a dataset is an even mixture
+        return (*transfer(recorded, mode), None) if verifier is None else verifier(recorded, mode)
 
     entries, residuals, verdicts = [], [], []
     with progress_bar("frames") as progress:
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
         spread = sorted({round(i) for i in np.linspace(0, len(selected) - 1, FIT_EPISODES)})
         transfer.fit([reader.read(selected[i]) for i in spread])
-        for i, index in enumerate(selected):
+        workers = 1 if verifier is not None else config.workers or os.cpu_count() or 1  # a simulation is for one thread
+        results = in_order(moved, enumerate(selected), workers)
+        for i, (index, (demonstration, report, verdict)) in enumerate(zip(selected, results, strict=True)):
             progress.update(task, description=f"episode {index}")
-            mode = i % config.init.modes  # motions take turns, so that a dataset is an even mixture
-            recorded = reader.read(index)
             record: dict[str, Any] = {**reader.record(index), "source_episode": index}
             record.pop("verified", None)  # of the source
-            if verifier is None:
-                demonstration, report = transfer(recorded, mode)
-            else:
-                demonstration, report, verdict = verifier(recorded, mode)
+            if verdict is not None:
                 verdicts.append(verdict)
                 record["verified"] = verdict.record()
-            summary = report.summary() | ({"mode": mode} if config.init.modes > 1 else {})
+            summary = report.summary() | ({"mode": i % config.init.modes} if config.init.modes > 1 else {})
             entry = {"episode": index, "frames": len(demonstration), **summary}
             entries.append(entry)
             frames = {"pad_distance_mm": report.pad_distance_mm, "normal_angle_deg": report.normal_angle_deg}
             residuals.append({"episode": index, **frames})
-            if writer is not None and not (verdicts and verdicts[-1].dropped):
+            if writer is not None and not (verdict is not None and verdict.dropped):
                 if not config.allow_unreachable:
                     check_reached(config.target, [entry])
                 writer.add(demonstration, {**record, "alignment": summary})
