@@ -86,8 +86,9 @@ def features(embodiment: Embodiment, demonstration: Demonstration) -> dict[str, 
         ACTION: {**joints, "names": joint_feature_names(embodiment)},
     }
     if demonstration.point_cloud_world is not None:
-        points = demonstration.point_cloud_world.shape[1]
-        result[POINT_CLOUD] = {"dtype": "float32", "shape": (points, 3), "names": ["point", "xyz_m"]}
+        points, entries = demonstration.point_cloud_world.shape[1:]
+        axis = "xyz_m" if entries == 3 else "xyz_m_rgb"
+        result[POINT_CLOUD] = {"dtype": "float32", "shape": (points, entries), "names": ["point", axis]}
     for camera, depth_m in demonstration.depth_m.items():
         result[depth_key(camera)] = {
             "dtype": "image",  # lossless; LeRobot's depth video rounds to 12 bits
