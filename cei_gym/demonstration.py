@@ -58,6 +58,7 @@ class Demonstration:
         environment_state: (T, k) float64 state of the task's objects, or None.
         environment_state_names: k names, with units.
         index: the episode's index in the dataset that it came from.
+        source_frames: (T,) which frames of that episode these are, where they are not all of it in turn; else None.
     """
 
     embodiment: str
@@ -72,6 +73,7 @@ class Demonstration:
     environment_state: np.ndarray | None = None
     environment_state_names: tuple[str, ...] = ()
     index: int = 0
+    source_frames: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         where = f"episode {self.index}"
@@ -90,6 +92,8 @@ class Demonstration:
 
     def at(self, frames: np.ndarray) -> "Demonstration":
         """The demonstration with its frames at these indices, in this order."""
+        if np.array_equal(frames, np.arange(len(self))):
+            return self
 
         def taken(value: np.ndarray | None) -> np.ndarray | None:
             return None if value is None else value[frames]
@@ -102,4 +106,5 @@ class Demonstration:
             rgb={name: images[frames] for name, images in self.rgb.items()},
             point_cloud_world=taken(self.point_cloud_world),
             environment_state=taken(self.environment_state),
+            source_frames=frames if self.source_frames is None else self.source_frames[frames],
         )

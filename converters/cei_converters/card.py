@@ -2,11 +2,13 @@
 
 import json
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cei_converters import schema
 from cei_converters.metadata import METADATA_PATH, Metadata, Source
 
 CARD_PATH = "README.md"
@@ -48,6 +50,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
         _introduction(repo_id, metadata, info),
         _quality(metadata),
         _verified(metadata),
+        _cameras(metadata, info),
         _layout(metadata, info),
         _usage(repo_id, metadata),
         _provenance(metadata),
@@ -67,7 +70,12 @@ def _introduction(repo_id: str, metadata: Metadata, info: dict) -> str:
             f"Demonstrations of **{metadata.embodiment}**, converted from **{source.embodiment}** "
             f"(`{source.repo_id}`) with CEI-Gym: {size}. No {metadata.embodiment} was operated: the joint "
             "trajectories are those that bring its functional pads where the source robot's were, found by "
-            "minimising the Directional Chamfer Distance, and the point clouds show it in the source's place."
+            "minimising the Directional Chamfer Distance"
+            + (
+                ", and the point clouds show it in the source's place."
+                if schema.POINT_CLOUD in info["features"]
+                else "."
+            )
         )
     title = f"# {repo_id}\n\n{origin} It is a [LeRobot](https://github.com/huggingface/lerobot) v3.0 dataset."
     environment = metadata.environment
@@ -109,6 +117,37 @@ def _verified(metadata: Metadata) -> str:
         text += f"Left out are {len(dropped)} in which nothing did. "
     text += f"Per episode in `{METADATA_PATH}`, under `verified`.\n\n"
     return text + _table(("transfer", "episodes"), list(kept.items()))
+
+
+def _cameras(metadata: Metadata, info: dict) -> str:
+    """What the source's cameras became; empty for a recorded dataset."""
+    source = metadata.provenance.source
+    if source is None:
+        return ""
+    if schema.POINT_CLOUD not in info["features"]:
+        text = "There are no point clouds: the source has no depth, so it was converted in joints."
+    elif source.depth_cameras:
+        text = f"Point clouds were made from the depth of {_listed(source.depth_cameras)}."
+    else:
+        text = "Point clouds were made from the source's."
+    dtypes = {key: feature["dtype"] for key, feature in info["features"].items()}
+    pictures = [key for key, dtype in dtypes.items() if dtype in ("image", "video")]
+    if pictures:
+        text += (
+            f" Pictures of {_listed(pictures)} are the source's, passed through untouched: **they still show "
+            f"{source.embodiment}, not {metadata.embodiment}**."
+        )
+    stretched = sum("source_frames" in record for record in metadata.episodes)
+    if stretched and "video" in dtypes.values():
+        text += (
+            f" In {stretched} of {len(metadata.episodes)} episodes {metadata.embodiment} needs more time, so frames "
+            f"repeat (`source_frames` in `{METADATA_PATH}`); their videos were encoded again."
+        )
+    return f"## Cameras\n\n{text}"
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def _layout(metadata: Metadata, info: dict) -> str:

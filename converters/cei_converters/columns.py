@@ -1,15 +1,18 @@
 """Values of features as they are stored: depth in whole millimetres, everything else in float32."""
 
-import io
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from cei_converters import schema
+from cei_converters.depth import MM_PER_M
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError, one_line
 
-MM_PER_M = 1000.0
 MAX_DEPTH_MM = np.iinfo(np.uint16).max
 
 
@@ -59,24 +62,24 @@ def decode_array(column: Any, feature: dict, where: str) -> np.ndarray:
         raise CEIError(f"{where}: a row is not of shape {tuple(feature['shape'])}.") from error
 
 
-def decode_depth_m(column: Any, feature: dict, where: str) -> np.ndarray:
-    """A column of depth images as (T, H, W) float32 metres.
+def read_columns(root: Path, meta: Any, index: int, keys: Sequence[str]) -> pa.Table:
+    """An episode's rows of those features that are in the dataset's tables.
+
+    Args:
+        root: the dataset's folder.
+        meta: its metadata, a `LeRobotDatasetMetadata`.
+        index: the episode.
+        keys: features; those that the dataset lacks or has as video are left out.
 
     Raises:
-        CEIError: a cell is no depth image of the feature's size.
+        CEIError: the file cannot be read.
     """
-    from PIL import Image, UnidentifiedImageError
-
-    height, width, _ = feature["shape"]
-    unit = (feature.get("info") or {}).get("depth_unit")
-    depth_m = np.empty((len(column), height, width), np.float32)
-    for frame, cell in enumerate(column):
-        try:
-            depth = np.asarray(Image.open(io.BytesIO(cell["bytes"].as_py())))
-            depth_m[frame] = depth
-        except (UnidentifiedImageError, TypeError, ValueError, OSError) as error:
-            raise CEIError(f"{where}: frame {frame} is no {width}x{height} depth image ({one_line(error)}).") from error
-        unit = unit or ("mm" if depth.dtype.kind == "u" else "m")  # LeRobot's rule
-    if unit == "mm":
-        depth_m /= MM_PER_M
-    return depth_m
+    path = root / meta.get_data_file_path(index)
+    columns = [key for key in keys if key in meta.features and key not in meta.video_keys]
+    try:
+        # LeRobot writes a row group an episode, so the filter reads no other episode
+        return pq.read_table(path, columns=columns, filters=[("episode_index", "==", index)])
+    except (OSError, ValueError, KeyError) as error:  # pyarrow's errors are of these kinds
+        raise CEIError(
+            f"episode {index}: {path} cannot be read ({one_line(error)}); download or record the dataset again."
+        ) from error

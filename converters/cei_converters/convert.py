@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cei_converters import calibration
 from cei_converters.cli import DatasetConfig, run
 from cei_converters.options import parse_episodes, parse_pose
 from cei_converters.quality import check_reached, print_table
@@ -25,11 +26,18 @@ if TYPE_CHECKING:
     from cei_gym.demonstration import Demonstration
     from cei_gym.transfer import Transfer
 
-EXAMPLE = """example:
+EXAMPLE = (
+    """example:
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa
   cei-convert --dataset.repo_id=me/pick_panda --dataset.root=data/pick_panda --target=IIWA-Inspire \\
       --episodes=0,3,5 --dry_run
-  cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa --verify --verify.drop"""
+  cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa --verify --verify.drop
+  cei-convert --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --calibration=cameras.yaml \\
+      --target=IIWA-Inspire --new_repo_id=me/real_iiwa
+
+"""
+    + calibration.FORMAT
+)
 # the frame-0 basin is chosen on this many episodes, spread over the dataset, however large it is
 FIT_EPISODES = 8
 
@@ -44,6 +52,7 @@ class ConvertConfig:
     new_root: str | None = None  # Its folder, which must not exist; default: LeRobot's cache.
     source: str | None = None  # Embodiment of a dataset that does not say it (no meta/cei.json).
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
+    calibration: str | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See below.
     target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
@@ -73,6 +82,9 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     selection = parse_episodes(config.episodes)
     T_world_base = parse_pose("--source_pose", config.source_pose)
     _check_options(config)
+    calibrated = None if config.calibration is None else calibration.load_calibration(config.calibration)
+    if calibrated is not None and calibrated.T_world_base is not None and T_world_base is not None:
+        raise CEIError("--source_pose and T_world_base of --calibration are the same thing; give one.")
 
     from cei_converters.provenance import fingerprint
     from cei_converters.reader import DatasetReader
@@ -82,9 +94,15 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
 
     check_json_path(config.json)
     reader = DatasetReader(
-        config.dataset.repo_id, config.dataset.root, embodiment=config.source, T_world_base=T_world_base
+        config.dataset.repo_id,
+        config.dataset.root,
+        embodiment=config.source,
+        T_world_base=T_world_base,
+        calibration=calibrated,
     )
     selected = reader.select(selection)
+    reader.check_videos(selected)
+    print(_about_cameras(reader))
     with contextlib.ExitStack() as stack:
         writer = None
         if not config.dry_run:
@@ -120,6 +138,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "repo_id": None if config.dry_run else config.new_repo_id,
             "root": str(writer.root) if writer is not None else None,
             "dry_run": config.dry_run,
+            "depth_cameras": list(reader.depth_cameras),
+            "passed_through": list(reader.cameras),
             "ignored_features": reader.ignored_features,
             "episodes": len(entries),
             "frames": sum(entry["frames"] for entry in entries),
@@ -164,6 +184,19 @@ def _check_options(config: ConvertConfig) -> None:
         check_login()
 
 
+def _about_cameras(reader: "DatasetReader") -> str:
+    """One line: what becomes of the dataset's cameras."""
+    if reader.depth_cameras:
+        clouds = f"Clouds are made from the depth of {', '.join(reader.depth_cameras)}"
+    elif reader.has_clouds:
+        clouds = "Clouds are made from the recorded ones"
+    else:
+        clouds = "Neither depth nor clouds: converted in joints"
+    if not reader.cameras:
+        return clouds + "."
+    return f"{clouds}; passed through untouched, so they still show the source robot: {', '.join(reader.cameras)}."
+
+
 def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: str) -> "DatasetWriter":
     from cei_converters.card import source_license
     from cei_converters.metadata import Source
@@ -178,10 +211,12 @@ def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: 
         revision=_revision(reader.root) if config.dataset.root is None else None,
         fingerprint=source_fingerprint,
         license=source_license(reader.root),
+        depth_cameras=reader.depth_cameras,
     )
     options = {
         "target": config.target,
         "target_pose": config.target_pose,
+        **({"calibration": Path(config.calibration).name} if config.calibration else {}),
         "episodes": config.episodes,
         "allow_unreachable": config.allow_unreachable,
         "init": config.init,
@@ -196,6 +231,7 @@ def _writer(config: ConvertConfig, reader: "DatasetReader", source_fingerprint: 
         config.new_root,
         environment=_environment(reader, config.target),
         provenance=collect(options, source=source),
+        cameras=reader.cameras,
     )
 
 
@@ -260,7 +296,8 @@ def _transfer_episodes(
         for i, (index, (demonstration, report, verdict)) in enumerate(zip(selected, results, strict=True)):
             progress.update(task, description=f"episode {index}")
             record: dict[str, Any] = {**reader.record(index), "source_episode": index}
-            record.pop("verified", None)  # of the source
+            for of_the_source in ("verified", "source_frames"):
+                record.pop(of_the_source, None)
             if verdict is not None:
                 verdicts.append(verdict)
                 record["verified"] = verdict.record()
@@ -272,7 +309,10 @@ def _transfer_episodes(
             if writer is not None and not (verdict is not None and verdict.dropped):
                 if not config.allow_unreachable:
                     check_reached(config.target, [entry])
-                writer.add(demonstration, {**record, "alignment": summary})
+                if demonstration.source_frames is not None:
+                    record["source_frames"] = demonstration.source_frames.tolist()
+                pictures = reader.pictures(index).at(demonstration.source_frames)
+                writer.add(demonstration, {**record, "alignment": summary}, pictures)
             progress.advance(task, len(demonstration))
     return entries, residuals, verdicts
 

@@ -13,6 +13,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cei_converters.cameras import Pictures
+from cei_converters.video_files import VideoFiles
+
 _MB = 1024**2
 
 
@@ -31,21 +34,25 @@ class EpisodeWriter:
         from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
         from lerobot.datasets.feature_utils import get_hf_features_from_features
 
+        videos = any(feature["dtype"] == "video" for feature in features.values())
         self._meta = LeRobotDatasetMetadata.create(
-            repo_id, fps=fps, features=features, root=root, robot_type=robot_type, use_videos=False
+            repo_id, fps=fps, features=features, root=root, robot_type=robot_type, use_videos=videos
         )
         self._hf_features = get_hf_features_from_features(self._meta.features)
         self._schema: pa.Schema = self._hf_features.arrow_schema
+        self._videos = VideoFiles(root, self._meta)
         self._file: pq.ParquetWriter | None = None
         self._place = 0, 0  # chunk, file
 
-    def add(self, columns: Mapping[str, np.ndarray], task: str) -> None:
+    def add(self, columns: Mapping[str, np.ndarray], task: str, pictures: Pictures | None = None) -> None:
         """Append an episode.
 
         Args:
-            columns: feature key to (T, ...) values of the feature's type; images as (T, H, W, channels).
+            columns: feature key to (T, ...) values of the feature's type; depth images as (T, H, W, 1).
             task: what it shows, in words.
+            pictures: those that pass through as they are.
         """
+        pictures = pictures or Pictures()
         frames = len(next(iter(columns.values())))
         start = int(self._meta.total_frames)
         self._meta.save_episode_tasks([task])
@@ -58,17 +65,20 @@ class EpisodeWriter:
             "index": start + frame_index,
             "task_index": np.full(frames, self._meta.get_task_index(task)),
         }
-        arrays = [self._arrow(key, columns[key]) for key in self._schema.names]
+        images = pictures.images
+        arrays = [images[key] if key in images else self._arrow(key, columns[key]) for key in self._schema.names]
         self._write(pa.Table.from_arrays(arrays, schema=self._schema))
         chunk, file = self._place
-        place = {
+        place: dict[str, int | float] = {
             "data/chunk_index": chunk,
             "data/file_index": file,
             "dataset_from_index": start,
             "dataset_to_index": start + frames,
         }
-        statistics = {key: self._statistics(key, columns[key]) for key in self._schema.names}
-        self._meta.save_episode(self._meta.total_episodes, frames, [task], statistics, place)
+        for key, clip in pictures.clips.items():
+            place |= self._videos.add(key, clip)
+        own = {key: self._statistics(key, columns[key]) for key in self._schema.names if key in columns}
+        self._meta.save_episode(self._meta.total_episodes, frames, [task], {**own, **pictures.statistics}, place)
 
     def finalize(self) -> None:
         """Complete the files. May be called more than once."""

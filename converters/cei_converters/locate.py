@@ -48,7 +48,7 @@ def _cached_or_downloaded(repo_id: str, revision: str | None) -> Path:
                 repo_type="dataset",
                 revision=revision or CODEBASE_VERSION,
                 cache_dir=HF_LEROBOT_HUB_CACHE,
-                allow_patterns=["meta/*", "data/*", "README.md"],
+                allow_patterns=["meta/*", "data/*", "videos/*", "README.md"],
             )
         )
     except Exception as error:  # network, authorisation, unknown names: the hub's client has no common class

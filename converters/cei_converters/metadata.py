@@ -44,6 +44,7 @@ class Source:
     revision: str | None = None
     fingerprint: str | None = None
     license: str | None = None
+    depth_cameras: tuple[str, ...] = ()  # those whose depth became clouds
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class Metadata:
             metadata = draccus.decode(cls, raw)
         except DraccusException as error:
             raise CEIError(f"{where}: {' '.join(str(error).split())}; needed: {REQUIRED}.") from error
-        check_scene(metadata.scene, where)
+        check_scene(metadata.scene, f"{where}: scene")
         return metadata
 
 
@@ -126,18 +127,21 @@ def check_scene(scene: Scene, where: str) -> None:
     Raises:
         CEIError: naming the field.
     """
-    _check_pose(scene.T_world_base, f"{where}: scene.T_world_base")
+    _check_pose(scene.T_world_base, f"{where}: T_world_base")
     workspace = scene.workspace_world
     if workspace.shape != (2, 3) or not (workspace[0] < workspace[1]).all():
-        raise CEIError(f"{where}: scene.workspace_world should be [[x, y, z] lower, [x, y, z] upper] in metres.")
+        raise CEIError(f"{where}: workspace_world should be [[x, y, z] lower, [x, y, z] upper] in metres.")
     names = [camera.name for camera in scene.cameras]
     if len(set(names)) != len(names):
         raise CEIError(f"{where}: two cameras share a name among {', '.join(names)}.")
     for camera in scene.cameras:
         place = f"{where}: camera {camera.name!r}"
         _check_pose(camera.T_world_camera, f"{place}: T_world_camera")
-        if camera.K.shape != (3, 3) or not np.isfinite(camera.K).all() or min(np.diag(camera.K)) <= 0:
-            raise CEIError(f"{place}: K should be 3x3 intrinsics in pixels with positive focal lengths.")
+        K = camera.K
+        if K.shape != (3, 3) or not np.isfinite(K).all() or min(np.diag(K)) <= 0 or not np.allclose(K[2], (0, 0, 1)):
+            raise CEIError(
+                f"{place}: K should be 3x3 [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, fx and fy positive."
+            )
         if camera.width <= 0 or camera.height <= 0:
             raise CEIError(f"{place}: size {camera.width}x{camera.height} should be positive.")
 

@@ -19,7 +19,8 @@ def load_metadata(root: Path, embodiment: str | None) -> Metadata | None:
     if embodiment is None:
         raise CEIError(
             f"{root} has no {METADATA_PATH}; it needs {REQUIRED}. "
-            f"Without cameras, name the robot with --source=<one of {', '.join(embodiment_names())}>."
+            f"Without it, name the robot with --source=<one of {', '.join(embodiment_names())}>, and calibrate depth "
+            "cameras, if there are any, with --calibration=FILE.yaml."
         )
     return None
 

@@ -74,9 +74,9 @@ def _without_folders(arg: str) -> str:
 
 
 def fingerprint(root: Path) -> str:
-    """SHA-256 over the names and bytes of a dataset's `meta/` and `data/` files."""
+    """SHA-256 over the names and bytes of a dataset's `meta/`, `data/` and `videos/` files."""
     digest = hashlib.sha256()
-    for path in sorted(p for folder in ("meta", "data") for p in (root / folder).rglob("*") if p.is_file()):
+    for path in sorted(p for folder in ("meta", "data", "videos") for p in (root / folder).rglob("*") if p.is_file()):
         digest.update(path.relative_to(root).as_posix().encode())
         with path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())

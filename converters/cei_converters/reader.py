@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 
 from cei_converters import schema
-from cei_converters.columns import decode_array, decode_depth_m
+from cei_converters.calibration import Calibration
+from cei_converters.cameras import Pictures, find_clip, read_pictures
+from cei_converters.columns import decode_array, read_columns
+from cei_converters.depth import camera_name, check_depth_feature, image_depth_m, video_depth_m
 from cei_converters.locate import locate
-from cei_converters.metadata import METADATA_PATH
 from cei_converters.opening import choose_embodiment, load_lerobot_metadata, load_metadata
-from cei_gym.demonstration import Demonstration, Scene
-from cei_gym.errors import CEIError, one_line
+from cei_gym.demonstration import Camera, Demonstration, Scene
+from cei_gym.errors import CEIError
 
 # how far outside its range a joint may be read before its unit must be wrong
 UNIT_SLACK = {"rad": np.pi, "m": 0.5}
@@ -31,11 +33,14 @@ class DatasetReader:
         root: its folder; default: LeRobot's cache, else the hub.
         embodiment: catalogue name; needed only where the dataset has no `meta/cei.json`.
         T_world_base: (4, 4) base pose for such a dataset; default: identity.
+        calibration: of its depth cameras; it wins over `meta/cei.json`.
 
     Attributes:
         root, repo_id, embodiment, scene: of the dataset.
         metadata: contents of `meta/cei.json`, or None.
-        ignored_features: keys that `Demonstration` has no field for, such as RGB cameras.
+        depth_cameras: names of the cameras whose depth is read.
+        cameras: LeRobot's features of the others, whose pictures are not looked at.
+        ignored_features: keys of what is neither read nor a picture.
 
     Raises:
         CEIError: whatever is wrong with the dataset, in one line.
@@ -48,17 +53,21 @@ class DatasetReader:
         *,
         embodiment: str | None = None,
         T_world_base: np.ndarray | None = None,
+        calibration: Calibration | None = None,
     ) -> None:
         self.repo_id = repo_id
         self.root = locate(repo_id, root)
         self.metadata = load_metadata(self.root, embodiment)
         self.embodiment = choose_embodiment(self.root, self.metadata, embodiment)
         if self.metadata is not None:
-            self.scene = self.metadata.scene
+            scene = self.metadata.scene
         else:
+            if T_world_base is None and calibration is not None:
+                T_world_base = calibration.T_world_base
             T_world_base = np.eye(4) if T_world_base is None else T_world_base
             workspace_world = DEFAULT_WORKSPACE_M + T_world_base[:3, 3]
-            self.scene = Scene(T_world_base=T_world_base, cameras=(), workspace_world=workspace_world)
+            scene = Scene(T_world_base=T_world_base, cameras=(), workspace_world=workspace_world)
+        self.scene = scene if calibration is None else calibration.over(scene)
         self._meta = load_lerobot_metadata(repo_id, self.root)
         self._check_features()
 
@@ -72,16 +81,25 @@ class DatasetReader:
                 raise CEIError(
                     f"{key} has shape {features[key]['shape']} but {len(self.embodiment.joint_names)} names."
                 )
-        cameras = {camera.name for camera in self.scene.cameras}
-        self._depth_keys = [key for key in features if key.startswith(schema.DEPTH_PREFIX)]
-        for key in self._depth_keys:
-            if key.removeprefix(schema.DEPTH_PREFIX) not in cameras:
-                raise CEIError(f"{key} has no calibration: {METADATA_PATH} lists {', '.join(cameras) or 'no camera'}.")
-            if features[key]["dtype"] != "image":
-                raise CEIError(f"{key} is stored as {features[key]['dtype']}; depth should be lossless (dtype image).")
-        used = {schema.STATE, schema.ACTION, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._depth_keys}
+        calibrated = {camera.name: camera for camera in self.scene.cameras}
+        self._depth: dict[str, Camera] = {}
+        for key in self._meta.depth_keys:
+            check_depth_feature(key, features[key], calibrated)
+            self._depth[key] = calibrated[camera_name(key)]
+        self.depth_cameras = tuple(camera.name for camera in self._depth.values())
+        if len(set(self.depth_cameras)) < len(self.depth_cameras):
+            raise CEIError(
+                f"two depth features are of one camera: {', '.join(self._depth)}; their last parts should differ."
+            )
+        self.cameras = {key: features[key] for key in self._meta.camera_keys if key not in self._depth}
+        used = {schema.STATE, schema.ACTION, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._meta.camera_keys}
         own = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
         self.ignored_features = [key for key in features if key not in used | own]
+
+    @property
+    def has_clouds(self) -> bool:
+        """Whether point clouds are recorded."""
+        return schema.POINT_CLOUD in self._meta.features
 
     @property
     def fps(self) -> float:
@@ -131,15 +149,17 @@ class DatasetReader:
             CEIError: it is absent, empty, unreadable, not finite, or in the wrong unit.
         """
         self.select([index])
-        depth_keys = self._depth_keys if clouds else []
-        table = self._table(index, [schema.POINT_CLOUD, *depth_keys] if clouds else [])
+        depth = self._depth if clouds else {}
+        keys = [schema.STATE, schema.ACTION, schema.ENVIRONMENT_STATE]
+        keys = [*keys, schema.POINT_CLOUD, "timestamp", *depth] if clouds else keys
+        table = read_columns(self.root, self._meta, index, keys)
         if table.num_rows == 0:
             raise CEIError(f"episode {index} has no frames; leave it out with --episodes or record it again.")
         features = self._meta.features
         values = {
             key: decode_array(table[key], features[key], f"episode {index}, {key}")
             for key in table.column_names
-            if key not in depth_keys
+            if key not in depth
         }
         for key in (schema.STATE, schema.ACTION):
             self._check_values(values[key], f"episode {index}", key)
@@ -152,31 +172,40 @@ class DatasetReader:
             action=values[schema.ACTION].astype(np.float64),
             scene=self.scene,
             task=tasks[0] if tasks else "",
-            depth_m={
-                key.removeprefix(schema.DEPTH_PREFIX): decode_depth_m(
-                    table[key], features[key], f"episode {index}, {key}"
-                )
-                for key in depth_keys
-            },
+            depth_m={camera.name: self._depth_m(index, key, camera, table) for key, camera in depth.items()},
             point_cloud_world=values.get(schema.POINT_CLOUD),
             environment_state=None if environment_state is None else environment_state.astype(np.float64),
             environment_state_names=tuple(schema.feature_names(features.get(schema.ENVIRONMENT_STATE, {}))),
             index=index,
         )
 
-    def _table(self, index: int, cloud_keys: list[str]) -> Any:
-        import pyarrow.parquet as pq
+    def check_videos(self, episodes: Sequence[int]) -> None:
+        """Check that episodes' video files are there.
 
-        path = self.root / self._meta.get_data_file_path(index)
-        keys = [schema.STATE, schema.ACTION, schema.ENVIRONMENT_STATE, *cloud_keys]
-        columns = [key for key in keys if key in self._meta.features]
-        try:
-            # LeRobot writes a row group an episode, so the filter reads no other episode
-            return pq.read_table(path, columns=columns, filters=[("episode_index", "==", index)])
-        except (OSError, ValueError, KeyError) as error:  # pyarrow's errors are of these kinds
-            raise CEIError(
-                f"episode {index}: {path} cannot be read ({one_line(error)}); download or record the dataset again."
-            ) from error
+        Raises:
+            CEIError: one is missing.
+        """
+        for index in episodes:
+            for key in self._meta.video_keys:
+                find_clip(self.root, self._meta, index, key)
+
+    def pictures(self, index: int) -> Pictures:
+        """What an episode's RGB cameras saw, as it is stored.
+
+        Raises:
+            CEIError: a picture, a video or statistics are missing.
+        """
+        return read_pictures(self.root, self._meta, index, list(self.cameras))
+
+    def _depth_m(self, index: int, key: str, camera: Camera, table: Any) -> np.ndarray:
+        feature = self._meta.features[key]
+        if feature["dtype"] == "image":
+            return image_depth_m(table[key], feature, camera, f"episode {index}, {key}")
+        clip = find_clip(self.root, self._meta, index, key)
+        depth_m = video_depth_m(clip.path, clip.start_s + table["timestamp"].to_numpy(), self.fps, feature)
+        if depth_m.shape[1:] != (camera.height, camera.width):
+            raise CEIError(f"{clip.path} has frames of {depth_m.shape[1:]}, not of {(camera.height, camera.width)}.")
+        return depth_m
 
     def _check_values(self, values: np.ndarray, where: str, key: str) -> None:
         """values: (T, n) rad or m."""

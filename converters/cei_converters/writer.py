@@ -3,6 +3,7 @@
 import contextlib
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -10,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from cei_converters import schema
+from cei_converters.cameras import Pictures
 from cei_converters.card import write_card
 from cei_converters.columns import encode
 from cei_converters.episodes import EpisodeWriter
@@ -37,6 +39,7 @@ class DatasetWriter:
         root: its folder, which must not exist; default: LeRobot's.
         environment: what the episodes replay in.
         provenance: how they came about.
+        cameras: LeRobot's features of cameras whose pictures pass through.
 
     Attributes:
         provenance: as given; it may be completed until the block ends.
@@ -49,11 +52,13 @@ class DatasetWriter:
         *,
         environment: Environment | None = None,
         provenance: Provenance | None = None,
+        cameras: Mapping[str, dict] | None = None,
     ) -> None:
         self.repo_id = repo_id
         self.root = Path(root) if root is not None else default_root(repo_id)
         self._environment = environment or Environment()
         self.provenance = provenance or Provenance()
+        self._cameras = dict(cameras or {})
         self._partial = self.root.parent / f".{self.root.name}.partial-{os.getpid()}"
         self._new_folders: list[Path] = []
         self._records: list[dict[str, Any]] = []
@@ -69,12 +74,15 @@ class DatasetWriter:
         self.root.parent.mkdir(parents=True, exist_ok=True)
         return self
 
-    def add(self, demonstration: Demonstration, record: dict[str, Any] | None = None) -> None:
+    def add(
+        self, demonstration: Demonstration, record: dict[str, Any] | None = None, pictures: Pictures | None = None
+    ) -> None:
         """Write one episode.
 
         Args:
             demonstration: the episode.
             record: what `meta/cei.json` shall keep of it (seed, quality, ...).
+            pictures: what cameras saw in these frames, if any pass through.
 
         Raises:
             CEIError: the episode does not match the first one, or a depth is out of range.
@@ -85,7 +93,7 @@ class DatasetWriter:
         else:
             self._check_matches_first(demonstration, where)
         assert self._episodes is not None
-        self._episodes.add(encode(demonstration), demonstration.task)
+        self._episodes.add(encode(demonstration), demonstration.task, pictures)
         self._records.append(plain(record or {}))
 
     def _start(self, first: Demonstration) -> None:
@@ -97,7 +105,7 @@ class DatasetWriter:
             self.repo_id,
             self._partial,
             fps=int(first.fps),
-            features=self._features,
+            features=self._features | self._cameras,
             robot_type=first.embodiment,
         )
         # only what later episodes are compared with, not its frames
