@@ -1,8 +1,10 @@
 """`CrossEmbodimentWrapper`: what it shows is what the converter makes, and what it is told the acting robot does."""
 
 import pickle
+from pathlib import Path
 from typing import Any, ClassVar
 
+import av
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
-from cei_gym.pointcloud import RobotMask, SurfaceSampler
+from cei_gym.pointcloud import CloudOptions, RobotMask, SurfaceSampler
 from cei_gym.transfer import Transfer
 from cei_gym.wrapper import CrossEmbodimentWrapper
 
@@ -120,6 +122,30 @@ def test_a_cloud_is_bit_for_bit_the_converters() -> None:
     converter = Transfer(env.embodiment, env.embodiment)
     converted = converter._clouds(demonstration, converter._scenes(demonstration), qpos)
     np.testing.assert_array_equal(np.stack([o["point_cloud"] for o in shown]), converted)
+
+
+def test_colours_are_shown_or_left_out() -> None:
+    class Coloured(Puppet):
+        def __init__(self):
+            super().__init__()
+            spaces = dict(self.observation_space.spaces)
+            spaces["point_cloud"] = gym.spaces.Box(-np.inf, np.inf, (SEEN, 6), np.float32)
+            self.observation_space = gym.spaces.Dict(spaces)
+
+        def _observation(self):
+            observation = super()._observation()
+            green = np.tile(np.array([0, 1, 0], np.float32), (SEEN, 1))
+            return observation | {"point_cloud": np.concatenate([observation["point_cloud"], green], axis=1)}
+
+    wrapped = CrossEmbodimentWrapper(Coloured())
+    cloud = wrapped.reset()[0]["point_cloud"]
+    assert wrapped.observation_space["point_cloud"].contains(cloud)
+    on_ball = np.abs(np.linalg.norm(cloud[:, :3] - [0.6, 0.2, 0.1], axis=1) - 0.03) < 1e-5
+    assert (cloud[on_ball, 3:] == (0, 1, 0)).all()
+    assert not (cloud[~on_ball, 3:] == (0, 1, 0)).all(axis=1).any()
+    plain = CrossEmbodimentWrapper(Coloured(), clouds=CloudOptions(colours=False))
+    np.testing.assert_array_equal(plain.reset()[0]["point_cloud"], cloud[:, :3])
+    assert plain.observation_space["point_cloud"].shape == (1024, 3)
 
 
 def test_the_whole_robot_is_shown_and_the_scene_stays() -> None:
@@ -260,6 +286,17 @@ def test_it_composes_with_vector_environments(mode: str) -> None:
     assert observation["point_cloud"].shape == (2, 1024, 3)
     np.testing.assert_array_equal(observation["point_cloud"][0], observation["point_cloud"][1])
     envs.close()
+
+
+def test_record_video_records_it(tmp_path: Path) -> None:
+    env = CrossEmbodimentWrapper(gym.make("test/Puppet-v0", render_mode="rgb_array", max_episode_steps=3))
+    env = gym.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda episode: True)
+    env.reset()
+    for _ in range(3):
+        env.step(env.unwrapped.embodiment.home.astype(np.float32))
+    env.close()
+    with av.open(str(tmp_path / "rl-video-episode-0.mp4")) as film:
+        assert sum(1 for _ in film.decode(video=0)) >= 3
 
 
 def test_it_composes_with_gymnasiums_wrappers() -> None:
