@@ -22,9 +22,9 @@ def make_cameras(names: Sequence[str], width: int, height: int) -> tuple[Camera,
     Raises:
         CEIError: there is no such viewpoint, one is named twice, or none is.
     """
+    if not names or isinstance(names, str) or len(set(names)) < len(names):
+        raise CEIError(f"cameras are one or more different names of {', '.join(VIEWPOINTS)}, not {names!r}.")
     for name in names:
         if name not in VIEWPOINTS:
             raise unknown("camera", name, VIEWPOINTS)
-    if not names or isinstance(names, str) or len(set(names)) < len(names):
-        raise CEIError(f"cameras are one or more different names of {', '.join(VIEWPOINTS)}, not {names!r}.")
     return tuple(look_at(name, *VIEWPOINTS[name], width, height, FOVY_DEG) for name in names)
