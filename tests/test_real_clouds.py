@@ -15,16 +15,15 @@ from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.kinematics import KinematicTree
-from cei_gym.pointcloud import RobotMask, crop, fuse_depth
+from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, RobotMask, crop, fuse_depth
 from cei_gym.pointcloud.isolated import isolated
-from cei_gym.pointcloud.synthesise import CloudSynthesiser
 from cei_gym.rendering import DepthCamera
-from cei_gym.transfer import Transfer, TransferOptions
+from cei_gym.transfer import Transfer
 from cei_gym.wrapper import CrossEmbodimentWrapper
 
 SOURCE, TARGET = "Panda-PandaGripper", "UR5e-FourierRight"
 CAMERAS = ["front", "left", "right"]
-OPTIONS = TransferOptions()
+TAU_M = CloudOptions().tau_m
 ON_TARGET = 700
 ON_TARGET_OUTLIERS = 30
 """Points of a cloud of 1024 that are on the target, at least; farthest points prefer outliers."""
@@ -70,9 +69,7 @@ def env(request: pytest.FixtureRequest) -> Iterator[CEIEnv]:
 
 @pytest.fixture(scope="module")
 def synthesise() -> CloudSynthesiser:
-    o = OPTIONS
-    embodiments = load_embodiment(SOURCE), load_embodiment(TARGET)
-    return CloudSynthesiser(*embodiments, o.tau_m, o.robot_points, o.cloud_points, o.seed)
+    return CloudSynthesiser(load_embodiment(SOURCE), load_embodiment(TARGET))
 
 
 def near_robot(name: str, points: np.ndarray, qpos: np.ndarray, env: CEIEnv, tau_m: float) -> np.ndarray:
@@ -89,13 +86,13 @@ def test_a_clouds_points_are_finite_in_the_workspace_and_of_the_target_and_the_s
     depth_m = {name: d if damage is None else damage(d, random) for name, d in env.depth_m().items()}
     qpos, workspace = env._simulation.qpos, scene.workspace_world
     target = load_embodiment(TARGET)
-    kept = synthesise.scene(fuse_depth(scene, depth_m), workspace, qpos, scene.T_world_base)
-    cloud = synthesise(kept, workspace, target.home, scene.T_world_base)
+    kept = synthesise.remove(fuse_depth(scene, depth_m), scene, qpos)
+    cloud = synthesise.add(kept, scene, target.home)
     assert cloud.shape == (1024, 3)
     assert cloud.dtype == np.float32
     assert np.isfinite(cloud).all()
     assert crop(cloud, workspace + [[-1e-6], [1e-6]]).all()
-    assert not near_robot(SOURCE, kept, qpos, env, OPTIONS.tau_m - 1e-5).any()
+    assert not near_robot(SOURCE, kept, qpos, env, TAU_M - 1e-5).any()
     on_target = near_robot(TARGET, cloud, target.home, env, 1e-4)
     assert on_target.sum() >= (ON_TARGET_OUTLIERS if damage is outliers else ON_TARGET)
     assert on_target.all() == (damage is nothing)  # else something of the scene is in it
@@ -111,7 +108,7 @@ def test_of_the_source_a_stated_share_is_left(env: CEIEnv) -> None:
     points = np.concatenate(on_robot)
     points = points[crop(points, env.scene.workspace_world)]
     assert len(points) > 500
-    left = ~near_robot(SOURCE, points, env._simulation.qpos, env, OPTIONS.tau_m)
+    left = ~near_robot(SOURCE, points, env._simulation.qpos, env, TAU_M)
     assert left.mean() < (0.001 if env._noise is None else 0.03)
 
 
