@@ -39,6 +39,7 @@ from cei_gym.errors import CEIError, unknown
 from cei_gym.functional import VARIANTS, FunctionalRepresentation, directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, frame_points
+from cei_gym.pointcloud.isolated import isolated
 from cei_gym.pointcloud.remember import remember
 
 METHODS = ("cei", "bms")
@@ -47,6 +48,8 @@ _FINALISTS = 8
 _TOLERATED_M = 0.005  # of penetration, and of contact points that miss the source's
 _ABOVE_SUPPORT_M = 0.005
 _NEAR_HAND_M = 0.2  # what is farther from the source's pads is no obstacle
+_COMPANY_M = 0.02  # within which a point of an object has a few others; what has fewer is noise
+_COMPANY = 3
 _CARRIED_M = 0.005
 _OTHER_SQUEEZES = (0.5, 1.5)
 _AT_REST = 0.02  # rad/s or m/s: a finger slower than this has stopped
@@ -374,7 +377,9 @@ class Transfer:
         """For each frame points on what stands on the support surface near the hand, target's base frame."""
         T_base_world = np.linalg.inv(self._base(demonstration))
         floor = demonstration.scene.workspace_world[0, 2] + _ABOVE_SUPPORT_M
-        objects = [s[s[:, 2] > floor, :3] @ T_base_world[:3, :3].T + T_base_world[:3, 3] for s in scenes]
+        above = [s[s[:, 2] > floor, :3] for s in scenes]
+        above = [s[~isolated(s, _COMPANY_M, _COMPANY)] for s in above]
+        objects = [s @ T_base_world[:3, :3].T + T_base_world[:3, 3] for s in above]
         moved = np.zeros(len(scenes), bool) if grip is None else grip.carried_m > _CARRIED_M
         return remember(objects, hand_base, moved, _NEAR_HAND_M)
 

@@ -21,6 +21,7 @@ from cei_envs.experts import make_expert
 from cei_envs.gripper import KINDS, register_gripper
 from cei_envs.registration import TASKS
 from cei_envs.tasks.pick_cube import PickCubeEnv
+from cei_envs.viewpoints import VIEWPOINTS
 from cei_gym.embodiment import (
     ARMS,
     END_EFFECTORS,
@@ -31,6 +32,8 @@ from cei_gym.embodiment import (
     load_end_effector,
 )
 from cei_gym.errors import CEIError
+from cei_gym.pointcloud import crop
+from cei_gym.rendering import DepthCamera, unproject
 
 NAMES = ["Panda-PandaGripper", "IIWA-Inspire", "UR5e-RobotiqThreeFinger"]
 EXPERT = "CEI-PickCube-Panda-PandaGripper"
@@ -130,7 +133,15 @@ def test_an_unknown_embodiment_lists_the_valid_ones(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"max_hold_ticks": 0}, "max_hold_ticks is at least 1"), ({"render_mode": "human"}, "render_mode 'human'")],
+    [
+        ({"max_hold_ticks": 0}, "max_hold_ticks is at least 1"),
+        ({"render_mode": "human"}, "render_mode 'human'"),
+        ({"cameras": ["frnt"]}, "unknown camera 'frnt'. Did you mean 'front'?"),
+        ({"cameras": []}, "cameras are one or more different names of front, left, right, top"),
+        ({"cameras": ["top", "top"]}, "cameras are one or more different names"),
+        ({"cameras": "top"}, "cameras are one or more different names"),
+        ({"depth_noise": "kinct"}, "unknown depth noise 'kinct'. Did you mean 'kinect'?"),
+    ],
 )
 def test_arguments_are_checked(arguments: dict, message: str) -> None:
     with pytest.raises(CEIError, match=message):
@@ -227,6 +238,67 @@ def test_pickling_keeps_the_arguments() -> None:
     assert copy._max_hold_ticks == 2
     env.close()
     copy.close()
+
+
+def test_noise_is_of_a_seed_and_changes_neither_starts_nor_physics(envs: dict[str, CEIEnv]) -> None:
+    env, noisy = envs[NAMES[0]], make(NAMES[0], depth_noise="kinect")
+    actions = wander(env)
+    clean, seen = rollout(env, actions, seed=3), rollout(noisy, actions, seed=3)
+    for one, other in zip(clean, seen, strict=True):
+        for key in ("agent_pos", "environment_state"):
+            np.testing.assert_array_equal(one[key], other[key])
+        assert not np.array_equal(one["point_cloud"], other["point_cloud"])
+        assert noisy.observation_space.contains(other)
+    assert_same(rollout(noisy, actions, seed=3), seen)
+    assert_same(rollout(pickle.loads(pickle.dumps(noisy)), actions, seed=3), seen)
+    first = noisy.reset(seed=3)[0]
+    start = {key: first[key] for key in ("environment_state", "agent_pos")}
+    again = noisy.reset(options=start)[0]  # the next episode of the stream
+    assert not np.array_equal(again["point_cloud"], first["point_cloud"])
+    noisy.close()
+
+
+def test_options_that_are_left_out_leave_observations_as_they_are(envs: dict[str, CEIEnv]) -> None:
+    env, other = envs[NAMES[0]], make(NAMES[0], cameras=["front"], depth_noise={})
+    actions = wander(env)
+    assert_same(rollout(other, actions, seed=3), rollout(env, actions, seed=3))
+    np.testing.assert_array_equal(env.scene.cameras[0].T_world_camera, other.scene.cameras[0].T_world_camera)
+    images = DepthCamera(env.model, env.scene.cameras).render(env._simulation.data)
+    np.testing.assert_array_equal(env.depth_m()["front"], images["front"][0])
+    other.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_camera_sees_the_task_and_clouds_fuse_them(task: str) -> None:
+    env = gym.make(environment_id(task, NAMES[0]), cameras=list(VIEWPOINTS)).unwrapped
+    assert isinstance(env, CEIEnv)
+    middle = np.array([0.0, 0.0, 0.85])
+    for seed in range(3):
+        cloud = env.reset(seed=seed)[0]["point_cloud"]
+        assert list(env.depth_m()) == list(VIEWPOINTS)
+        seen = {c.name: unproject(env.depth_m()[c.name], c) for c in env.scene.cameras}
+        for points in seen.values():
+            points = points[crop(points, env.scene.workspace_world)]
+            assert (np.linalg.norm(points - middle, axis=1) < 0.2).sum() > 20
+        every = np.concatenate(list(seen.values())).astype(np.float32)
+        assert set(map(bytes, cloud)) <= set(map(bytes, every))
+        for points in seen.values():  # none of them sees all of it
+            assert not set(map(bytes, cloud)) <= set(map(bytes, points.astype(np.float32)))
+    env.close()
+
+
+def test_a_calibrations_error_is_in_the_scene_and_not_in_the_image() -> None:
+    noise = {"tilt_deg": 2.0, "shift_m": 0.01}
+    env, exact = make(NAMES[0], depth_noise=noise), make(NAMES[0])
+    for one in (env, exact):
+        one.reset(seed=0)
+    np.testing.assert_array_equal(env.depth_m()["front"], exact.depth_m()["front"])
+    believed, true = env.scene.cameras[0].T_world_camera, exact.scene.cameras[0].T_world_camera
+    assert np.linalg.norm((believed - true)[:3, 3]) == pytest.approx(0.01)
+    cosine = (np.trace(believed[:3, :3].T @ true[:3, :3]) - 1) / 2
+    assert np.rad2deg(np.arccos(cosine)) == pytest.approx(2.0)
+    for one in (env, exact):
+        one.close()
 
 
 @pytest.mark.parametrize("name", NAMES)

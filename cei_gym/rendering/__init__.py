@@ -2,7 +2,20 @@
 
 from cei_gym.embodiment.colours import geom_colours
 from cei_gym.rendering.camera import DepthCamera
+from cei_gym.rendering.noise import DepthNoise, add_noise, as_noise, believed
 from cei_gym.rendering.pinhole import camera_from_mujoco, look_at, project, unproject
 from cei_gym.rendering.shading import shade
 
-__all__ = ["DepthCamera", "camera_from_mujoco", "geom_colours", "look_at", "project", "shade", "unproject"]
+__all__ = [
+    "DepthCamera",
+    "DepthNoise",
+    "add_noise",
+    "as_noise",
+    "believed",
+    "camera_from_mujoco",
+    "geom_colours",
+    "look_at",
+    "project",
+    "shade",
+    "unproject",
+]

@@ -30,6 +30,8 @@ class RecordConfig:
     root: str | None = None  # Its folder, which must not exist; default: LeRobot's cache.
     episodes: int = 20  # How many demonstrations.
     seed: int = 0  # Of the first one.
+    cameras: list[str] | None = None  # Depth cameras, such as [front,left,top]; default: front.
+    depth_noise: str | None = None  # What makes depth like a real camera's, such as kinect; default: nothing.
     teleop: str | None = None  # Demonstrate by hand, with keyboard or spacemouse; default: the scripted expert does.
     push_to_hub: bool = False  # Upload the dataset.
     private: bool = False  # Make the uploaded dataset private.
@@ -60,7 +62,9 @@ def record(config: RecordConfig) -> dict[str, Any]:
     check_json_path(config.json)
     if config.push_to_hub:
         check_login()
-    env = open_environment(config.env)
+    given = {"cameras": config.cameras, "depth_noise": config.depth_noise}
+    kwargs = {name: value for name, value in given.items() if value is not None}
+    env = open_environment(config.env, **kwargs)
     seeds = range(config.seed, config.seed + config.episodes)
     results = []
     with contextlib.ExitStack() as stack:
@@ -70,8 +74,9 @@ def record(config: RecordConfig) -> dict[str, Any]:
             teleoperator = stack.enter_context(env.get_wrapper_attr("teleoperator")(config.teleop))
             stack.enter_context(_on_interrupt(teleoperator.stop))
             episodes = by_hand(env, seeds, teleoperator, config.teleop)
+        environment = Environment(config.env, kwargs)
         writer = stack.enter_context(
-            DatasetWriter(config.repo_id, config.root, environment=Environment(config.env), provenance=collect(config))
+            DatasetWriter(config.repo_id, config.root, environment=environment, provenance=collect(config))
         )
         progress = stack.enter_context(progress_bar("episodes"))
         task = progress.add_task("recording", total=config.episodes)

@@ -1,6 +1,7 @@
 """What every CEI environment shares: observation, absolute joint actions that wait, restorable starts, pictures."""
 
 from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -9,11 +10,12 @@ import numpy as np
 
 from cei_envs.picture import Picture
 from cei_envs.simulation import CONTROL_HZ, Simulation
+from cei_envs.viewpoints import make_cameras
 from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.pointcloud import crop, farthest_point_sample, fuse_depth
-from cei_gym.rendering import DepthCamera, look_at
+from cei_gym.rendering import DepthCamera, add_noise, as_noise, believed
 
 CLOUD_POINTS = 1024
 START_NOISE_RAD = 0.02
@@ -33,9 +35,12 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
     Args:
         embodiment: catalogue name, `<Arm>-<EndEffector>`.
         max_hold_ticks: most control periods (1/20 s) that one step waits for the joints to reach its target.
-        image_width, image_height: size of the depth camera's image.
+        image_width, image_height: size of the depth cameras' images.
         clouds: whether observations have a `point_cloud`; without, nothing is rendered and a step is several times faster.
         stock_physics: leave out the physics exceptions that embodiments declare, but for those required to drive them.
+        cameras: names of `cei_envs.viewpoints`, whose clouds are fused.
+        depth_noise: what makes depth images like real ones: "kinect", or fields of `cei_gym.rendering.DepthNoise`; None for
+            exact images. It changes no start; `scene.cameras` are as calibrated, with the error that it asks for.
         render_mode: "rgb_array" or None.
     """
 
@@ -52,10 +57,21 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         image_height: int = 120,
         clouds: bool = True,
         stock_physics: bool = False,
+        cameras: Sequence[str] = ("front",),
+        depth_noise: str | Mapping[str, float] | None = None,
         render_mode: str | None = None,
     ) -> None:
         gym.utils.EzPickle.__init__(
-            self, embodiment, max_hold_ticks, image_width, image_height, clouds, stock_physics, render_mode
+            self,
+            embodiment,
+            max_hold_ticks,
+            image_width,
+            image_height,
+            clouds,
+            stock_physics,
+            cameras,
+            depth_noise,
+            render_mode,
         )
         if max_hold_ticks < 1:
             raise CEIError(f"max_hold_ticks is at least 1, not {max_hold_ticks}.")
@@ -64,10 +80,12 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         self.embodiment: Embodiment = load_embodiment(embodiment)
         self.render_mode = render_mode
         self._max_hold_ticks = max_hold_ticks
+        placed = make_cameras(cameras, image_width, image_height)
+        self._noise = as_noise(depth_noise)
+        calibrated = placed if self._noise is None else tuple(believed(camera, self._noise) for camera in placed)
         self._simulation = Simulation(self.embodiment, self._make_robosuite, stock_physics)
-        front = look_at("front", (0.75, 0.45, 1.45), (-0.08, 0.0, 0.85), image_width, image_height, 45.0)
-        self.scene = Scene(self._simulation.T_world_base, (front,), self._workspace_world())
-        self._camera = DepthCamera(self._simulation.model, self.scene.cameras) if clouds else None
+        self.scene = Scene(self._simulation.T_world_base, calibrated, self._workspace_world())
+        self._camera = DepthCamera(self._simulation.model, placed) if clouds else None
         self._depth_m: dict[str, np.ndarray] = {}
         self._picture: Picture | None = None
         n = len(self.embodiment.joint_names)
@@ -140,6 +158,8 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             CEIError: an unknown option, or one of the wrong shape.
         """
         super().reset(seed=seed)
+        # A stream of its own: starts are the same with and without.
+        self._noise_random = self.np_random.spawn(1)[0]
         options = options or {}
         if unknown := set(options) - {"environment_state", "agent_pos"}:
             raise CEIError(f"unknown reset option {sorted(unknown)[0]!r}. Valid: environment_state, agent_pos.")
@@ -248,6 +268,10 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         if self._camera is not None:
             images = self._camera.render(self._simulation.data)
             self._depth_m = {name: depth for name, (depth, _) in images.items()}
+            if self._noise is not None:
+                for camera in self._camera.cameras:
+                    clean = self._depth_m[camera.name]
+                    self._depth_m[camera.name] = add_noise(clean, camera, self._noise, self._noise_random)
             points = fuse_depth(self.scene, self._depth_m)
             points = points[crop(points, self.scene.workspace_world)]
             observation["point_cloud"] = farthest_point_sample(points, CLOUD_POINTS)
