@@ -3,6 +3,19 @@
 from cei_gym.embodiment.colours import geom_colours
 from cei_gym.rendering.camera import DepthCamera
 from cei_gym.rendering.pinhole import camera_from_mujoco, look_at, project, unproject
+from cei_gym.rendering.portrait import Portrait, lighter
 from cei_gym.rendering.shading import shade
+from cei_gym.rendering.splat import splat
 
-__all__ = ["DepthCamera", "camera_from_mujoco", "geom_colours", "look_at", "project", "shade", "unproject"]
+__all__ = [
+    "DepthCamera",
+    "Portrait",
+    "camera_from_mujoco",
+    "geom_colours",
+    "lighter",
+    "look_at",
+    "project",
+    "shade",
+    "splat",
+    "unproject",
+]
