@@ -9,8 +9,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from PIL import Image
 
 from cei_converters import convert, record
@@ -22,7 +20,7 @@ from cei_converters.view.sheet import write_sheet
 from cei_converters.writer import DatasetWriter
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
-from cei_gym.rendering import look_at, project, splat, unproject
+from cei_gym.rendering import look_at, project, splat
 
 SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
 
@@ -185,12 +183,13 @@ def test_the_sheet_shows_both_robots_with_their_pads(job: Path) -> None:
     picture = np.asarray(Image.open(job / "view.png").convert("RGB")).astype(int)
     height, width, _ = picture.shape
     assert width > height > 1000
-    red, blue = picture[..., 0] - picture[..., 2] > 150, picture[..., 2] - picture[..., 0] > 150
+    r, g, b = np.moveaxis(picture, 2, 0)
+    red, blue = np.minimum(r - g, r - b) > 80, np.minimum(b - r, b - g) > 80
     above, below = slice(100, height // 2 - 100), slice(height // 2, height - 300)
-    assert blue[above].sum() > 2000  # pads of the source in its own row, none of the target's
-    assert red[above].sum() < 100
-    assert red[below].sum() > 1000  # both in the target's row
-    assert blue[below].sum() > 500
+    assert blue[above].sum() > 1000  # pads of the source in its own row, none of the target's
+    assert red[above].sum() == 0
+    assert red[below].sum() > 500  # both in the target's row
+    assert blue[below].sum() > 400
     grey = np.abs(picture - picture.mean(axis=2, keepdims=True)).max(axis=2) < 8
     assert (grey & (picture.mean(axis=2) < 200))[above].mean() > 0.1  # a robot
 
@@ -228,7 +227,11 @@ def test_clouds_of_any_size_and_with_colours_are_shown(alone: Path, tmp_path: Pa
     shown = View((coloured,), view.title, view.residuals)
     save(shown, tmp_path / "c.rrd")
     colours = columns(read_chunks(tmp_path / "c.rrd"), "/dataset/cloud")["colors"]
-    assert [[c >> shift & 255 for shift in (24, 16, 8)] for c in colours[0]] == [[255, 0, 128], [0, 255, 0], [255, 0, 0]]
+    assert [[c >> shift & 255 for shift in (24, 16, 8)] for c in colours[0]] == [
+        [255, 0, 128],
+        [0, 255, 0],
+        [255, 0, 0],
+    ]
     write_sheet(shown, tmp_path / "c.png")
     assert (np.asarray(Image.open(tmp_path / "c.png"))[..., :3] == (0, 255, 0)).all(axis=2).any()
 
@@ -294,21 +297,6 @@ def test_a_record_that_does_not_fit_the_source_is_refused(
     assert not (tmp_path / "x.png").exists()
 
 
-@settings(max_examples=50, deadline=None)
-@given(
-    eye=st.tuples(*[st.floats(-2, 2)] * 2, st.floats(0.5, 2)),
-    target=st.tuples(*[st.floats(-0.5, 0.5)] * 2, st.floats(-1, 0)),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_projecting_undoes_unprojecting(eye: tuple, target: tuple, seed: int) -> None:
-    camera = look_at("c", eye, target, 7, 5, 50.0, up=(0.3, 0.2, 1.0))
-    depth_m = np.random.default_rng(seed).uniform(0.1, 3, (5, 7))
-    pixels, z = project(unproject(depth_m, camera), camera)
-    v, u = np.indices(depth_m.shape)
-    np.testing.assert_allclose(pixels, np.stack([u.ravel(), v.ravel()], axis=1), atol=1e-6)
-    np.testing.assert_allclose(z, depth_m.ravel())
-
-
 def test_points_are_hidden_by_what_stands_before_them_and_by_nearer_points() -> None:
     camera = look_at("c", (0, 0, 1), (0, 0, 0), 41, 41, 60.0, up=(0, 1, 0))
     picture, depth_m = np.zeros((41, 41, 3), np.uint8), np.zeros((41, 41))
@@ -319,5 +307,5 @@ def test_points_are_hidden_by_what_stands_before_them_and_by_nearer_points() -> 
     shown = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()} - {(0, 0, 0)}
     assert shown == {(0, 9, 0), (9, 9, 0)}  # the third lies behind the fourth, the fifth behind the camera
     assert (picture == (9, 9, 0)).all(axis=2).sum() == 5
-    ((u, v),), _ = project(points[3:4], camera)
-    assert tuple(picture[round(v), round(u)]) == (9, 9, 0)
+    ((row, column),), _ = project(points[3:4], camera)
+    assert tuple(picture[row, column]) == (9, 9, 0)

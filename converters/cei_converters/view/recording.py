@@ -4,9 +4,10 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
+from trimesh.visual import ColorVisuals
 
 from cei_converters import schema
 from cei_converters.result import whole
@@ -80,7 +81,7 @@ def _log_robot(recording: "rr.RecordingStream", times: list, side: Side) -> None
                 vertex_positions=mesh.vertices,
                 triangle_indices=mesh.faces,
                 vertex_normals=mesh.vertex_normals,
-                vertex_colors=lighter(mesh.visual.vertex_colors / 255),
+                vertex_colors=lighter(cast(ColorVisuals, mesh.visual).vertex_colors / 255),
             )
             recording.log(path, shape, static=True)
 
@@ -121,7 +122,7 @@ def _log_cameras(recording: "rr.RecordingStream", view: View, side: Side) -> Non
     scene = side.demonstration.scene
     low, high = scene.workspace_world
     box = rr.Boxes3D(centers=[(low + high) / 2], half_sizes=[(high - low) / 2], colors=[(150, 150, 150)])
-    recording.log(f"{side.role}/workspace", box, static=True)
+    recording.log(rr.new_entity_path([side.role, "workspace"]), box, static=True)
     for camera in scene.cameras:
         path = f"{side.role}/cameras/{rr.escape_entity_path_part(camera.name)}"
         T = camera.T_world_camera

@@ -42,7 +42,7 @@ def _sheet(view: View) -> Figure:
     heights = [_HEAD_HEIGHT, *[row_px] * len(view.sides), *[_PLOT_HEIGHT] * bool(view.residuals)]
     width = max(_LEAST_COLUMNS, len(moments)) * (_WIDTH + 10) + 40
     figure = Figure(figsize=(width / _DPI, sum(heights) / _DPI), layout="constrained")
-    head, *rows = figure.subfigures(len(heights), 1, height_ratios=heights)
+    head, *rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     head.suptitle(view.title, fontsize=20)
     head.legend(handles=_key(view), loc="lower center", ncols=4, fontsize=14, frameon=False)
     for row, side in zip(rows, view.sides, strict=False):
@@ -61,12 +61,16 @@ def _sheet(view: View) -> Figure:
 def _key(view: View) -> list[Line2D]:
     of_pads = "pads and outward normals (pale: hidden)"
     pads = [
-        Line2D([], [], color=np.array(side.pads_rgb) / 255, marker="o", ms=6, label=f"{side.whose} {of_pads}")
+        Line2D([], [], color=_hex(side.pads_rgb), marker="o", ms=6, label=f"{side.whose} {of_pads}")
         for side in view.sides
     ]
     has_cloud = any(side.demonstration.point_cloud_world is not None for side in view.sides)
     cloud = Line2D([], [], ls="", marker="o", ms=6, color="tab:green", label="point cloud")
-    return [*pads, *[cloud] * has_cloud, Line2D([], [], color=np.array(_GREY) / 255, label="workspace")]
+    return [*pads, *[cloud] * has_cloud, Line2D([], [], color=_hex(_GREY), label="workspace")]
+
+
+def _hex(rgb: tuple[int, int, int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 
 def _plot(axes: Axes, view: View, key: str, moments: np.ndarray) -> None:
