@@ -201,7 +201,7 @@ def alone(tmp_path: Path) -> Path:
     scene = Scene(np.eye(4), (), np.array([[-0.5, -0.5, 0.0], [0.9, 0.5, 1.2]]))
     root = tmp_path / "alone"
     with DatasetWriter("me/alone", root) as writer:
-        writer.add(Demonstration(SOURCE, 20.0, body.home[None], body.home[None], scene))
+        writer.add(Demonstration(SOURCE, 20.0, body.home[None], body.home[None], scene, task="no $\\formula."))
     return root
 
 

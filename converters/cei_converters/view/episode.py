@@ -124,7 +124,7 @@ def load_view(reader: "DatasetReader", index: int, source: "DatasetReader | None
     demonstration = reader.read(index)
     title = f"{reader.repo_id}, episode {index}"
     if demonstration.task:
-        title += f" ({demonstration.task.rstrip('.')})"
+        title += f" ({' '.join(demonstration.task.split()).rstrip('.')})"
     role = "dataset" if source is None else "target"
     target = _side(role, reader.embodiment, demonstration, np.arange(len(demonstration)))
     if source is None:

@@ -43,7 +43,7 @@ def _sheet(view: View) -> Figure:
     width = max(_LEAST_COLUMNS, len(moments)) * (_WIDTH + 10) + 40
     figure = Figure(figsize=(width / _DPI, sum(heights) / _DPI), layout="constrained")
     head, *rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-    head.suptitle(view.title, fontsize=20)
+    head.suptitle(view.title, fontsize=20, parse_math=False)
     head.legend(handles=_key(view), loc="lower center", ncols=4, fontsize=14, frameon=False)
     for row, side in zip(rows, view.sides, strict=False):
         row.supylabel(side.label, fontsize=18)
