@@ -216,7 +216,6 @@ class Transfer:
                 followed = self._follow_from(self._finalists[attempt.basin], motion)
                 frames, motion, track = followed.frames, followed.motion, followed.track
                 report = self._report(motion, track)
-            report = replace(report, source_frames=frames)
             demonstration, scenes = demonstration.at(frames), [scenes[t] for t in frames] if scenes else scenes
             depth_m = attempt.squeeze * self._squeeze_m(demonstration, motion)
             closing = replace(track, u=squeeze(self.problem, track.u, depth_m))

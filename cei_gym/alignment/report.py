@@ -22,7 +22,6 @@ class AlignmentReport:
         iterations: (T,) iterations that the solver spent.
         limit_hits: (T,) independent joints that sit at a limit.
         joint_step_rad: (T,) largest change of a joint since the frame before (0 at the first), rad or m.
-        source_frames: (T,) which frame of the source each frame follows; frames repeat where the source waits.
         unreachable_mm: pad distance above which a frame counts as out of the target's reach.
     """
 
@@ -32,7 +31,6 @@ class AlignmentReport:
     iterations: np.ndarray
     limit_hits: np.ndarray
     joint_step_rad: np.ndarray
-    source_frames: np.ndarray
     unreachable_mm: float
 
     @property
@@ -74,7 +72,6 @@ def make_report(
         iterations=track.iterations,
         limit_hits=at_limit.sum(axis=1),
         joint_step_rad=np.nan_to_num(step),
-        source_frames=np.arange(len(track.u)),
         unreachable_mm=unreachable_mm,
     )
 

@@ -136,7 +136,7 @@ def load_view(reader: "DatasetReader", index: int, source: "DatasetReader | None
 
 
 def _origin(reader: "DatasetReader", index: int, length: int, source: "DatasetReader") -> tuple[int, np.ndarray]:
-    """Episode of the source, and which of its frames each frame of an episode shows."""
+    """Episode of the source, and which of its frames each frame of an episode shows: all in turn if it does not say."""
     record = reader.record(index)
     source_index = record.get("source_episode", index)
     where = f"{reader.repo_id}, episode {index}"
@@ -147,7 +147,7 @@ def _origin(reader: "DatasetReader", index: int, length: int, source: "DatasetRe
     if "source_frames" not in record and of_source != length:
         raise CEIError(
             f"{where} has {length} frames, episode {source_index} of {source.repo_id} has {of_source}, and no "
-            "source_frames are recorded that say which is which; convert it again, or leave --source out."
+            "source_frames say which is which; convert it again, name another --source, or leave it out."
         )
     good = isinstance(frames, list) and all(isinstance(t, int) and 0 <= t < of_source for t in frames)
     if not good or len(frames) != length:
