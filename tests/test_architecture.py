@@ -109,6 +109,7 @@ def test_robosuite_is_imported_only_by_the_environments_package() -> None:
         ("import cei_envs", {"torch", "robosuite", "lerobot", "datasets", "mujoco"}),
         ("import cei_gym.transfer", {"torch", "robosuite", "lerobot", "datasets", "pytorch_kinematics"}),
         ("import cei_gym.alignment.manual", {"torch", "mink"}),
+        ("import cei_converters.view", {"rerun", "torch", "lerobot", "matplotlib"}),
     ],
 )
 def test_importing_does_not_load_what_it_does_not_need(code: str, absent: set[str]) -> None:

@@ -19,7 +19,7 @@ from cei_gym.alignment.problem import (
     Surroundings,
     Track,
 )
-from cei_gym.alignment.report import AlignmentReport, make_report
+from cei_gym.alignment.report import AlignmentReport, make_report, pad_residuals
 from cei_gym.alignment.solvers import make_solver
 from cei_gym.alignment.squeeze import squeeze
 from cei_gym.alignment.starts import InitialisationOptions, find_basins
@@ -54,6 +54,7 @@ __all__ = [
     "onto_objects",
     "opposing_sides",
     "pace",
+    "pad_residuals",
     "pad_shapes",
     "source_grip",
     "squeeze",

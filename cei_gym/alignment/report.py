@@ -61,22 +61,40 @@ def make_report(
     unreachable_mm: float,
 ) -> AlignmentReport:
     """Diagnose a track against the (T, N, 3) source representation that it followed."""
-    distance, angle = matched(
-        make_target(problem.representation, problem.tree),
-        np.ascontiguousarray(points_base, float),
-        np.ascontiguousarray(normals_base, float),
-        np.ascontiguousarray(track.u, float),
-        float(lambda_m),
-    )
+    pad_distance_mm, normal_angle_deg = pad_residuals(problem, points_base, normals_base, track.u, lambda_m)
     lower, upper = problem.embodiment.independent_limits
     at_limit = (track.u <= lower + _AT_LIMIT) | (track.u >= upper - _AT_LIMIT)
     step = np.abs(np.diff(problem.embodiment.coupled.expand(track.u), axis=0, prepend=np.nan)).max(axis=1)
     return AlignmentReport(
-        pad_distance_mm=1e3 * distance,
-        normal_angle_deg=np.degrees(angle),
+        pad_distance_mm=pad_distance_mm,
+        normal_angle_deg=normal_angle_deg,
         objective_m=track.objective,
         iterations=track.iterations,
         limit_hits=at_limit.sum(axis=1),
         joint_step_rad=np.nan_to_num(step),
         unreachable_mm=unreachable_mm,
     )
+
+
+def pad_residuals(
+    problem: AlignmentProblem, points_base: np.ndarray, normals_base: np.ndarray, u: np.ndarray, lambda_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far the target's pads are from the source's, frame by frame.
+
+    Args:
+        problem: of the target.
+        points_base, normals_base: (T, N, 3) the source's pads in the target's base frame, m and unit.
+        u: (T, m) independent joints of the target, rad or m.
+        lambda_m: weight of direction by which pairs are matched, metres.
+
+    Returns:
+        Mean distance (T,) in mm and mean angle between normals (T,) in degrees of matched pairs.
+    """
+    distance, angle = matched(
+        make_target(problem.representation, problem.tree),
+        np.ascontiguousarray(points_base, float),
+        np.ascontiguousarray(normals_base, float),
+        np.ascontiguousarray(u, float),
+        float(lambda_m),
+    )
+    return 1e3 * distance, np.degrees(angle)

@@ -1,6 +1,5 @@
 """A picture of an end-effector with its functional representation: where the pads are, which way they face."""
 
-import mujoco
 import numpy as np
 from PIL import Image, ImageDraw
 from scipy.spatial.transform import Rotation
@@ -10,13 +9,12 @@ from cei_gym.embodiment import Embodiment
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
 from cei_gym.functional.representation import FunctionalRepresentation
 from cei_gym.kinematics import KinematicTree
-from cei_gym.rendering import DepthCamera, geom_colours, look_at, shade
+from cei_gym.rendering import Portrait, look_at
 
 WIDTH, HEIGHT = 480, 420
 _SUPERSAMPLE = 2
 _NORMAL_M = 0.012
 _HIDDEN_M = 0.004
-_LIGHTEN = 0.35
 _COLOURS = [(230, 60, 50), (40, 120, 230), (30, 160, 80), (240, 150, 30), (150, 70, 200)]
 
 
@@ -31,36 +29,31 @@ def draw_representation(representation: FunctionalRepresentation, qpos: np.ndarr
         (420, 1440, 3) uint8 RGB.
     """
     embodiment = representation.embodiment
-    data = mujoco.MjData(embodiment.model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(embodiment.model, data)
-    points, normals = representation.place(KinematicTree(embodiment).forward(qpos))
-    views = [
-        _draw(embodiment, representation, data, points, normals, _view(embodiment, data, points, turn))
-        for turn in (-60.0, 30.0, 120.0)
-    ]
+    portrait = Portrait(embodiment)
+    T_links = KinematicTree(embodiment).forward(qpos)
+    points, normals = representation.place(T_links)
+    views = []
+    for turn in (-60.0, 30.0, 120.0):
+        camera = _view(embodiment, T_links[:, :3, 3], points, turn)
+        views.append(_draw(*portrait(T_links, camera), representation, points, normals, camera))
     return np.concatenate(views, axis=1)
 
 
-def _view(embodiment: Embodiment, data: mujoco.MjData, points: np.ndarray, turn_deg: float) -> Camera:
+def _view(embodiment: Embodiment, links: np.ndarray, points: np.ndarray, turn_deg: float) -> Camera:
     """A camera that circles the axis from the palm to the pads."""
     hand = [i for i, name in enumerate(embodiment.body_names) if name.startswith(END_EFFECTOR_PREFIX)]
-    palm, pads = data.xpos[hand[0]], points.mean(axis=0)
+    palm, pads = links[hand[0]], points.mean(axis=0)
     axis = (pads - palm) / np.linalg.norm(pads - palm)
     side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
     side = Rotation.from_rotvec(np.radians(turn_deg) * axis).apply(side / np.linalg.norm(side))
-    reach = max(0.12, float(np.linalg.norm(data.xpos[hand] - palm, axis=1).max()))
+    reach = max(0.12, float(np.linalg.norm(links[hand] - palm, axis=1).max()))
     middle = palm + 0.55 * (pads - palm)
     eye = middle + 2.5 * reach * side + 0.5 * reach * axis
     return look_at("view", eye, middle, _SUPERSAMPLE * WIDTH, _SUPERSAMPLE * HEIGHT, 38.0, up=-axis)
 
 
-def _draw(embodiment, representation, data, points, normals, camera: Camera) -> np.ndarray:
-    model = embodiment.model
-    depth, geom = DepthCamera(model, (camera,), groups=tuple(range(1, 6))).render(data)[camera.name]
-    # Black hands, as most are, would hide their own shape.
-    colours = _LIGHTEN + (1 - _LIGHTEN) * geom_colours(model)
-    image = Image.fromarray(shade(depth, geom, camera, colours))
+def _draw(picture, depth, representation, points, normals, camera: Camera) -> np.ndarray:
+    image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
     bodies = np.unique(representation.body)
     heads, _ = _project(points + _NORMAL_M * normals, camera)

@@ -23,6 +23,14 @@ class DatasetConfig:
     root: str | None = None  # Its folder; default: LeRobot's cache, else the hub.
 
 
+@dataclass
+class SourceConfig:
+    """The dataset that another was converted from, to show beside it."""
+
+    repo_id: str | None = None  # Its name.
+    root: str | None = None  # Its folder.
+
+
 def option_types(config_cls: type, prefix: str = "") -> dict[str, object]:
     """Dotted option name to type for every leaf field of a (nested) dataclass."""
     hints = typing.get_type_hints(config_cls)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from cei_converters.cli import DatasetConfig, run
+from cei_converters.cli import DatasetConfig, SourceConfig, run
 from cei_converters.record import HOLD_STEPS
 from cei_gym.errors import CEIError
 
@@ -20,14 +20,6 @@ EXAMPLE = """example:
   cei-replay --dataset.repo_id=me/pick_iiwa --dataset.root=data/pick_iiwa
   cei-replay --dataset.repo_id=me/pick_iiwa --dataset.root=data/pick_iiwa \\
       --source.repo_id=me/pick_panda --source.root=data/pick_panda --video=outputs/pick_iiwa.mp4"""
-
-
-@dataclass
-class SourceConfig:
-    """The dataset that the replayed one was converted from, to show beside it."""
-
-    repo_id: str | None = None  # Its name.
-    root: str | None = None  # Its folder.
 
 
 @dataclass

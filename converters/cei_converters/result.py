@@ -1,7 +1,9 @@
-"""What a command found, as JSON."""
+"""What a command leaves behind: its result as JSON, and other files, whole or not at all."""
 
+import contextlib
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,32 @@ def write_json(path: str | None, result: dict[str, Any]) -> None:
     """Write a result in one go (a reader never sees half of it); nothing if no path is asked for."""
     if path is None:
         return
-    target = Path(path)
-    partial = target.with_name(f".{target.name}.partial-{os.getpid()}")
-    partial.write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
-    partial.replace(target)
+    with whole(Path(path)) as partial:
+        partial.write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
+
+
+def check_new(option: str, path: str | None, suffix: str) -> Path | None:
+    """The path of a file to make, None if none is asked for.
+
+    Raises:
+        CEIError: it exists, or ends in something else than the suffix.
+    """
+    if path is None:
+        return None
+    file = Path(path)
+    if file.suffix != suffix:
+        raise CEIError(f"{option}={path} should end in {suffix}.")
+    if file.exists():
+        raise CEIError(f"{option}={path} already exists; choose another file or remove it first.")
+    return file
+
+
+@contextlib.contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A hidden sibling of `path` to write to: it becomes `path` when the block ends well, and is removed if it does not."""
+    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

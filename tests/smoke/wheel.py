@@ -5,7 +5,7 @@ import sys
 from importlib.metadata import distribution
 from pathlib import Path
 
-COMMANDS = ("cei-record", "cei-convert", "cei-replay", "cei-pads")
+COMMANDS = ("cei-record", "cei-convert", "cei-replay", "cei-pads", "cei-view")
 
 
 def main() -> None:

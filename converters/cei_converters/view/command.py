@@ -1,0 +1,91 @@
+"""`cei-view`: look at one episode of a dataset, or at a converted episode beside its source."""
+
+import os
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cei_converters.cli import DatasetConfig, SourceConfig, run
+from cei_gym.errors import CEIError
+
+EXAMPLE = """example:
+  cei-view --dataset.repo_id=me/pick_panda --dataset.root=data/pick_panda
+  cei-view --dataset.repo_id=me/pick_iiwa --dataset.root=data/pick_iiwa \\
+      --source.repo_id=me/pick_panda --source.root=data/pick_panda --episode=3 \\
+      --rrd=outputs/pick_iiwa.rrd --sheet=outputs/pick_iiwa.png
+  rerun outputs/pick_iiwa.rrd"""
+
+
+@dataclass
+class ViewConfig:
+    """Show an episode's robot, pads, clouds, cameras and joints over time, in rerun's viewer or in a file."""
+
+    dataset: DatasetConfig
+    source: SourceConfig = field(default_factory=SourceConfig)  # Shown beside it, with how far the pads are apart.
+    episode: int = 0  # Which episode of the dataset.
+    rrd: str | None = None  # Recording to write instead of opening the viewer.
+    sheet: str | None = None  # Contact sheet (PNG) to write instead of opening the viewer.
+    json: str | None = None  # File for the result as JSON.
+
+
+def view(config: ViewConfig) -> dict[str, Any]:
+    """Show an episode; returns what was shown, and the residuals if its source was shown too.
+
+    Raises:
+        CEIError: bad options or data, a file that exists, or a viewer without a display.
+    """
+    from cei_converters.reader import DatasetReader
+    from cei_converters.result import check_json_path, check_new, write_json
+    from cei_converters.view.episode import load_view
+
+    check_json_path(config.json)
+    rrd, sheet = check_new("--rrd", config.rrd, ".rrd"), check_new("--sheet", config.sheet, ".png")
+    opens_viewer = rrd is None and sheet is None
+    if opens_viewer and not _has_display():
+        raise CEIError(
+            "there is no display to open the viewer on; save --rrd=<file>.rrd or --sheet=<file>.png instead."
+        )
+    reader = DatasetReader(config.dataset.repo_id, config.dataset.root)
+    source = None
+    if config.source.repo_id is not None:
+        source = DatasetReader(config.source.repo_id, config.source.root)
+    shown = load_view(reader, config.episode, source)
+    if rrd is not None:
+        from cei_converters.view.recording import save
+
+        save(shown, rrd)
+    if sheet is not None:
+        from cei_converters.view.sheet import write_sheet
+
+        write_sheet(shown, sheet)
+    if opens_viewer:
+        from cei_converters.view.recording import open_viewer
+
+        open_viewer(shown)
+    result = {
+        "repo_id": reader.repo_id,
+        "episode": config.episode,
+        "frames": len(shown),
+        "embodiments": {side.role: side.embodiment.name for side in shown.sides},
+        "residuals": shown.residuals,
+        "rrd": config.rrd,
+        "sheet": config.sheet,
+    }
+    write_json(config.json, result)
+    _print(shown.title, [path for path in (rrd, sheet) if path is not None])
+    return result
+
+
+def _has_display() -> bool:
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _print(title: str, files: list[Path]) -> None:
+    where = "Wrote " + " and ".join(map(str, files)) if files else "Closed the viewer"
+    print(f"{where}: {title}.")
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `cei-view`."""
+    return run(ViewConfig, view, args, prog="cei-view", example=EXAMPLE)

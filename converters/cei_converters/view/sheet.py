@@ -1,0 +1,127 @@
+"""A view as one picture, drawn without GL: rows are robots, columns are moments, below how far the pads are apart."""
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from PIL import Image
+
+from cei_converters.result import whole
+from cei_converters.view.episode import NORMAL_M, RESIDUALS, Side, View
+from cei_gym.demonstration import Camera
+from cei_gym.rendering import Portrait, look_at, splat
+
+_MOMENTS = 5
+_WIDTH, _HEIGHT, _CLOSE_UP_HEIGHT, _PLOT_HEIGHT = 480, 420, 300, 260  # px
+_HEAD_HEIGHT, _TITLE_HEIGHT = 90, 40  # px
+_LEAST_COLUMNS = 3  # room for the title and its key
+_DPI = 100
+_SUPERSAMPLE = 2
+_FOVY_DEG = 36.0
+_CLOSE_UP_DIRECTION = 1.0, -0.5, 0.25  # in the base frame: from the front, where pads that oppose each other both show
+_CLOSE_UP_M, _CLOSE_UP_FOVY_DEG = 0.3, 30.0
+_LINE_DOTS = 40
+_PALE = 0.6
+_GREY = (150, 150, 150)
+
+
+def write_sheet(view: View, path: Path) -> None:
+    """Write a PNG."""
+    figure = _sheet(view)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole(path) as partial:
+        figure.savefig(partial, format="png", dpi=_DPI)
+
+
+def _sheet(view: View) -> Figure:
+    moments = np.unique(np.linspace(0, len(view) - 1, _MOMENTS).round().astype(int))
+    row_px = _HEIGHT + _CLOSE_UP_HEIGHT + _TITLE_HEIGHT
+    heights = [_HEAD_HEIGHT, *[row_px] * len(view.sides), *[_PLOT_HEIGHT] * bool(view.residuals)]
+    width = max(_LEAST_COLUMNS, len(moments)) * (_WIDTH + 10) + 40
+    figure = Figure(figsize=(width / _DPI, sum(heights) / _DPI), layout="constrained")
+    head, *rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    head.suptitle(view.title, fontsize=20, parse_math=False)
+    head.legend(handles=_key(view), loc="lower center", ncols=4, fontsize=14, frameon=False)
+    for row, side in zip(rows, view.sides, strict=False):
+        row.supylabel(side.label, fontsize=18)
+        columns = row.subplots(1, len(moments), squeeze=False)[0]
+        for axes, t, picture in zip(columns, moments, _pictures(view, side, moments), strict=True):
+            axes.imshow(picture)
+            axes.set_title(f"frame {side.frames[t]}, {view.times_s[t]:.2f} s", fontsize=15)
+            axes.set(xticks=[], yticks=[])
+    if view.residuals:
+        for axes, key in zip(rows[-1].subplots(1, len(view.residuals)), view.residuals, strict=True):
+            _plot(axes, view, key, moments)
+    return figure
+
+
+def _key(view: View) -> list[Line2D]:
+    of_pads = "pads and outward normals (pale: hidden)"
+    pads = [
+        Line2D([], [], color=_hex(side.pads_rgb), marker="o", ms=6, label=f"{side.whose} {of_pads}")
+        for side in view.sides
+    ]
+    has_cloud = any(side.demonstration.point_cloud_world is not None for side in view.sides)
+    cloud = Line2D([], [], ls="", marker="o", ms=6, color="tab:green", label="point cloud")
+    return [*pads, *[cloud] * has_cloud, Line2D([], [], color=_hex(_GREY), label="workspace")]
+
+
+def _hex(rgb: tuple[int, int, int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*rgb)
+
+
+def _plot(axes: Axes, view: View, key: str, moments: np.ndarray) -> None:
+    times, values = view.times_s, view.residuals[key]
+    axes.plot(times, values, lw=1.5, color="0.25")
+    axes.plot(times[moments], values[moments], "o", color="0.25")
+    axes.set(title=RESIDUALS[key], xlabel="time (s); dots: the moments above", ylim=(0, 1.15 * max(1, values.max())))
+    axes.grid(alpha=0.3)
+
+
+def _pictures(view: View, side: Side, moments: np.ndarray) -> list[np.ndarray]:
+    """One picture (H, W, 3) a moment: above all of the robot, below its pads from near."""
+    portrait = Portrait(side.embodiment)
+    from_afar = _camera(*view.eye_and_target(), _HEIGHT, _FOVY_DEG)
+    pictures = []
+    for t in moments:
+        middle = side.points_world[t].mean(axis=0)
+        eye = middle + _CLOSE_UP_M * side.towards_eye(_CLOSE_UP_DIRECTION)
+        close_up = _camera(eye, middle, _CLOSE_UP_HEIGHT, _CLOSE_UP_FOVY_DEG)
+        both = [_draw(view, side, portrait, t, from_afar, 3), _draw(view, side, portrait, t, close_up, 4)]
+        both[1][:_SUPERSAMPLE] = _GREY
+        picture = Image.fromarray(np.concatenate(both))
+        pictures.append(np.asarray(picture.reduce(_SUPERSAMPLE)))
+    return pictures
+
+
+def _camera(eye: np.ndarray, target: np.ndarray, height: int, fovy_deg: float) -> Camera:
+    return look_at("view", eye, target, _SUPERSAMPLE * _WIDTH, _SUPERSAMPLE * height, fovy_deg)
+
+
+def _draw(view: View, side: Side, portrait: Portrait, t: int, camera: Camera, radius_px: float) -> np.ndarray:
+    """Robot, workspace, cloud and pads at a frame, the target's with the source's pads; pads that are hidden are pale."""
+    demonstration = side.demonstration
+    picture, depth_m = portrait(side.T_world_links[t], camera)
+    splat(picture, depth_m, camera, _edges(demonstration.scene.workspace_world), np.array(_GREY), 1)
+    if demonstration.point_cloud_world is not None:
+        cloud = demonstration.point_cloud_world[t, :, :3]
+        splat(picture, depth_m, camera, cloud, side.cloud_rgb(t), radius_px)
+    for shown in view.sides[: view.sides.index(side) + 1]:
+        points, normals = shown.points_world[t], shown.normals_world[t]
+        lines = points[:, None] + NORMAL_M * np.linspace(0, 1, _LINE_DOTS)[:, None] * normals[:, None]
+        rgb = np.array(shown.pads_rgb)
+        splat(picture, np.zeros_like(depth_m), camera, lines.reshape(-1, 3), _PALE * 255 + (1 - _PALE) * rgb, 0.5)
+        splat(picture, depth_m, camera, lines.reshape(-1, 3), rgb, 0.5)
+        splat(picture, depth_m, camera, points, rgb, radius_px)
+    return picture
+
+
+def _edges(box: np.ndarray) -> np.ndarray:
+    """(N, 3) points along the edges of a box given by two corners (2, 3)."""
+    corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    share = np.linspace(0, 1, 300)[:, None]
+    pairs = [(a, b) for a, b in combinations(corners, 2) if (a != b).sum() == 1]
+    return np.concatenate([a + share * (b - a) for a, b in pairs])
