@@ -5,10 +5,9 @@ import numpy as np
 from cei_gym.demonstration import Camera
 from cei_gym.embodiment import Embodiment
 from cei_gym.embodiment.colours import geom_colours
+from cei_gym.embodiment.meshes import visual_geoms
 from cei_gym.rendering.camera import DepthCamera
 from cei_gym.rendering.shading import shade
-
-_GROUPS = tuple(range(1, 6))  # all but collision geoms
 
 
 def lighter(rgba: np.ndarray) -> np.ndarray:
@@ -24,7 +23,7 @@ class Portrait:
     """
 
     def __init__(self, embodiment: Embodiment) -> None:
-        self._eye = DepthCamera(embodiment.model, (), groups=_GROUPS)
+        self._eye = DepthCamera(embodiment.model, (), geoms=visual_geoms(embodiment.model))
         self._colours = lighter(geom_colours(embodiment.model))
 
     def __call__(self, T_world_links: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

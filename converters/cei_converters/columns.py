@@ -26,6 +26,8 @@ def encode(demonstration: Demonstration) -> dict[str, np.ndarray]:
         columns[schema.POINT_CLOUD] = demonstration.point_cloud_world.astype(np.float32)
     for camera, depth_m in demonstration.depth_m.items():
         columns[schema.depth_key(camera)] = _depth_to_mm(depth_m)
+    for camera, pictures in demonstration.rgb.items():
+        columns[schema.RGB_PREFIX + camera] = pictures
     if demonstration.environment_state is not None:
         columns[schema.ENVIRONMENT_STATE] = demonstration.environment_state.astype(np.float32)
     return columns

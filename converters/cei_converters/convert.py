@@ -283,7 +283,10 @@ def _transfer_episodes(
 
     def moved(item: tuple[int, int]) -> tuple["Demonstration", "AlignmentReport", Verdict | None]:
         i, index = item
-        recorded, mode = reader.read(index), i % config.init.modes  # motions take turns: a dataset is an even mixture
+        recorded, mode = (
+            reader.read(index, colours=config.clouds.colours),
+            i % config.init.modes,
+        )  # motions take turns: a dataset is an even mixture
         return (*transfer(recorded, mode), None) if verifier is None else verifier(recorded, mode)
 
     entries, residuals, verdicts = [], [], []

@@ -1,6 +1,9 @@
-"""Frames of a dataset's video files, by LeRobot's own decoding."""
+"""Pictures of a dataset: frames of its video files, by LeRobot's own decoding, and encoded images."""
 
+import io
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from av.error import FFmpegError
@@ -24,3 +27,21 @@ def decode_frames(path: Path, times_s: np.ndarray, fps: float, *, depth: bool = 
             f"{path} cannot be decoded ({one_line(error)}); download or record the dataset again."
         ) from error
     return frames.numpy()
+
+
+def decode_pictures(column: Any, feature: Mapping[str, Any], where: str) -> np.ndarray:
+    """A column of encoded RGB images as (T, H, W, 3) uint8.
+
+    Raises:
+        CEIError: a cell is no picture of the feature's size.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    pictures = np.empty((len(column), *feature["shape"]), np.uint8)
+    for frame, cell in enumerate(column):
+        try:
+            pictures[frame] = np.asarray(Image.open(io.BytesIO(cell["bytes"].as_py())).convert("RGB"))
+        except (UnidentifiedImageError, TypeError, ValueError, OSError) as error:
+            size = "x".join(map(str, feature["shape"][1::-1]))
+            raise CEIError(f"{where}: frame {frame} is no {size} picture ({one_line(error)}).") from error
+    return pictures

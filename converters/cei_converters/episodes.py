@@ -48,7 +48,7 @@ class EpisodeWriter:
         """Append an episode.
 
         Args:
-            columns: feature key to (T, ...) values of the feature's type; depth images as (T, H, W, 1).
+            columns: feature key to (T, ...) values of the feature's type; images as (T, H, W, 1 or 3).
             task: what it shows, in words.
             pictures: those that pass through as they are.
         """
@@ -104,7 +104,8 @@ class EpisodeWriter:
         images = values[sample_indices(len(values))].transpose(0, 3, 1, 2)
         small = np.stack([auto_downsample_height_width(image) for image in images])
         stats = get_feature_stats(small, axis=(0, 2, 3), keepdims=True)
-        return {name: value if name == "count" else value[0] for name, value in stats.items()}
+        largest = 1.0 if key in self._meta.depth_keys else 255.0
+        return {name: value if name == "count" else value[0] / largest for name, value in stats.items()}
 
     def _write(self, table: pa.Table) -> None:
         """One row group an episode, so that a reader finds it without the others."""
@@ -132,13 +133,14 @@ class EpisodeWriter:
 
 
 def _images(images: np.ndarray) -> pa.Array:
-    """(T, H, W, 1) depth as LeRobot's TIFF, in the cells of `datasets.Image`."""
+    """(T, H, W, 1) depth as LeRobot's TIFF, (T, H, W, 3) pictures as its PNG, in the cells of `datasets.Image`."""
     from datasets import Image
     from lerobot.datasets.image_writer import image_array_to_pil_image, save_kwargs_for_path
 
     cells: list[dict[str, Any]] = []
+    kind = "tiff" if images.shape[-1] == 1 else "png"
     for frame, image in enumerate(images):
-        path, buffer = Path(f"frame-{frame:06d}.tiff"), io.BytesIO()
-        image_array_to_pil_image(image).save(buffer, format="TIFF", **save_kwargs_for_path(path, 0))
+        path, buffer = Path(f"frame-{frame:06d}.{kind}"), io.BytesIO()
+        image_array_to_pil_image(image).save(buffer, format=kind.upper(), **save_kwargs_for_path(path, 1))
         cells.append({"bytes": buffer.getvalue(), "path": str(path)})
     return pa.array(cells, Image().pa_type)

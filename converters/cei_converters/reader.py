@@ -10,6 +10,7 @@ from cei_converters import schema
 from cei_converters.calibration import Calibration
 from cei_converters.cameras import Pictures, find_clip, read_pictures
 from cei_converters.columns import decode_array, read_columns
+from cei_converters.decoding import decode_frames, decode_pictures
 from cei_converters.depth import camera_name, check_depth_feature, image_depth_m, video_depth_m
 from cei_converters.locate import locate
 from cei_converters.opening import choose_embodiment, load_lerobot_metadata, load_metadata
@@ -91,6 +92,12 @@ class DatasetReader:
             raise CEIError(
                 f"two depth features are of one camera: {', '.join(self._depth)}; their last parts should differ."
             )
+        pairs = {camera.name: (camera.height, camera.width, 3) for camera in self._depth.values()}
+        self._rgb = {
+            camera_name(key): key
+            for key in self._meta.camera_keys
+            if key not in self._depth and tuple(features[key]["shape"]) == pairs.get(camera_name(key))
+        }
         self.cameras = {key: features[key] for key in self._meta.camera_keys if key not in self._depth}
         used = {schema.STATE, schema.ACTION, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._meta.camera_keys}
         own = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
@@ -138,12 +145,13 @@ class DatasetReader:
             raise CEIError(f"the selection of episodes repeats one: {', '.join(map(str, episodes))}.")
         return list(episodes)
 
-    def read(self, index: int, *, clouds: bool = True) -> Demonstration:
+    def read(self, index: int, *, clouds: bool = True, colours: bool = True) -> Demonstration:
         """One episode.
 
         Args:
             index: which.
             clouds: also read what cameras saw, depth and point clouds: nearly all of an episode's bytes.
+            colours: with them pictures that belong to depth: those of a feature named after a calibrated depth camera, of its size.
 
         Raises:
             CEIError: it is absent, empty, unreadable, not finite, or in the wrong unit.
@@ -151,7 +159,9 @@ class DatasetReader:
         self.select([index])
         depth = self._depth if clouds else {}
         keys = [schema.STATE, schema.ACTION, schema.ENVIRONMENT_STATE]
-        keys = [*keys, schema.POINT_CLOUD, "timestamp", *depth] if clouds else keys
+        rgb = self._rgb if clouds and colours else {}
+        images = [key for key in rgb.values() if key in self._meta.image_keys]
+        keys = [*keys, schema.POINT_CLOUD, "timestamp", *depth, *images] if clouds else keys
         table = read_columns(self.root, self._meta, index, keys)
         if table.num_rows == 0:
             raise CEIError(f"episode {index} has no frames; leave it out with --episodes or record it again.")
@@ -159,7 +169,7 @@ class DatasetReader:
         values = {
             key: decode_array(table[key], features[key], f"episode {index}, {key}")
             for key in table.column_names
-            if key not in depth
+            if key not in (*depth, *images)
         }
         for key in (schema.STATE, schema.ACTION):
             self._check_values(values[key], f"episode {index}", key)
@@ -173,6 +183,7 @@ class DatasetReader:
             scene=self.scene,
             task=tasks[0] if tasks else "",
             depth_m={camera.name: self._depth_m(index, key, camera, table) for key, camera in depth.items()},
+            rgb={name: self._pictures(index, key, table) for name, key in rgb.items()},
             point_cloud_world=values.get(schema.POINT_CLOUD),
             environment_state=None if environment_state is None else environment_state.astype(np.float64),
             environment_state_names=tuple(schema.feature_names(features.get(schema.ENVIRONMENT_STATE, {}))),
@@ -196,6 +207,14 @@ class DatasetReader:
             CEIError: a picture, a video or statistics are missing.
         """
         return read_pictures(self.root, self._meta, index, list(self.cameras))
+
+    def _pictures(self, index: int, key: str, table: Any) -> np.ndarray:
+        """(T, H, W, 3) uint8."""
+        feature = self._meta.features[key]
+        if feature["dtype"] == "image":
+            return decode_pictures(table[key], feature, f"episode {index}, {key}")
+        clip = find_clip(self.root, self._meta, index, key)
+        return decode_frames(clip.path, clip.start_s + table["timestamp"].to_numpy(), self.fps).transpose(0, 2, 3, 1)
 
     def _depth_m(self, index: int, key: str, camera: Camera, table: Any) -> np.ndarray:
         feature = self._meta.features[key]

@@ -32,6 +32,7 @@ class RecordConfig:
     seed: int = 0  # Of the first one.
     cameras: list[str] | None = None  # Depth cameras, such as [front,left,top]; default: front.
     depth_noise: str | None = None  # What makes depth like a real camera's, such as kinect; default: nothing.
+    colours: bool = False  # Pictures beside depth, so that clouds have colours.
     teleop: str | None = None  # Demonstrate by hand, with keyboard or spacemouse; default: the scripted expert does.
     push_to_hub: bool = False  # Upload the dataset.
     private: bool = False  # Make the uploaded dataset private.
@@ -64,6 +65,8 @@ def record(config: RecordConfig) -> dict[str, Any]:
         check_login()
     given = {"cameras": config.cameras, "depth_noise": config.depth_noise}
     kwargs = {name: value for name, value in given.items() if value is not None}
+    if config.colours:
+        kwargs["colours"] = True
     env = open_environment(config.env, **kwargs)
     seeds = range(config.seed, config.seed + config.episodes)
     results = []
@@ -163,13 +166,14 @@ def roll_out(
         What was seen and done at each step, and the last `info`.
     """
     observation, info = env.reset(seed=seed)
-    frames: dict[str, list] = {"qpos": [], "action": [], "cloud": [], "state": [], "depth": []}
+    frames: dict[str, list] = {"qpos": [], "action": [], "cloud": [], "state": [], "depth": [], "rgb": []}
     for action in policy(observation):
         frames["qpos"].append(observation["agent_pos"])
         frames["action"].append(action)
         frames["cloud"].append(observation["point_cloud"])
         frames["state"].append(observation["environment_state"])
         frames["depth"].append(env.unwrapped.depth_m())
+        frames["rgb"].append(env.unwrapped.rgb())
         observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             break
@@ -186,7 +190,8 @@ def as_demonstration(env, frames: dict[str, list], index: int) -> Demonstration:
         action=np.array(frames["action"], float),
         scene=inner.scene,
         task=inner.task_text,
-        depth_m={c.name: np.stack([d[c.name] for d in frames["depth"]]) for c in inner.scene.cameras},
+        depth_m={name: np.stack([images[name] for images in frames["depth"]]) for name in frames["depth"][0]},
+        rgb={name: np.stack([images[name] for images in frames["rgb"]]) for name in frames["rgb"][0]},
         point_cloud_world=np.stack(frames["cloud"]),
         environment_state=np.array(frames["state"]),
         environment_state_names=inner.state_names,

@@ -12,6 +12,7 @@ ACTION = "action"
 POINT_CLOUD = "observation.point_cloud"
 ENVIRONMENT_STATE = "observation.environment_state"
 DEPTH_PREFIX = "observation.depth."
+RGB_PREFIX = "observation.images."
 
 UNITS = ("rad", "m")
 
@@ -95,6 +96,12 @@ def features(embodiment: Embodiment, demonstration: Demonstration) -> dict[str, 
             "shape": (*depth_m.shape[1:], 1),
             "names": ["height", "width", "channels"],
             "info": {"is_depth_map": True, "depth_unit": "mm"},
+        }
+    for camera, pictures in demonstration.rgb.items():
+        result[RGB_PREFIX + camera] = {
+            "dtype": "image",  # lossless, too: colours at edges go with depth
+            "shape": pictures.shape[1:],
+            "names": ["height", "width", "channels"],
         }
     if demonstration.environment_state is not None:
         names = list(demonstration.environment_state_names)

@@ -15,9 +15,10 @@ from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.pointcloud import crop, farthest_point_sample, fuse_depth
-from cei_gym.rendering import DepthCamera, add_noise, as_noise, believed
+from cei_gym.rendering import DepthCamera, add_noise, as_noise, believed, geom_colours, shade
 
 CLOUD_POINTS = 1024
+MM_PER_M = np.float32(1000)
 START_NOISE_RAD = 0.02
 ARM_TOLERANCE_RAD = 0.02
 END_EFFECTOR_TOLERANCE_RAD = 0.05
@@ -41,6 +42,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         cameras: names of `cei_envs.viewpoints`, whose clouds are fused.
         depth_noise: what makes depth images like real ones: "kinect", or fields of `cei_gym.rendering.DepthNoise`; None for
             exact images. It changes no start; `scene.cameras` are as calibrated, with the error that it asks for.
+        colours: points of `point_cloud` are x, y, z in m and r, g, b in [0, 1].
         render_mode: "rgb_array" or None.
     """
 
@@ -59,6 +61,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         stock_physics: bool = False,
         cameras: Sequence[str] = ("front",),
         depth_noise: str | Mapping[str, float] | None = None,
+        colours: bool = False,
         render_mode: str | None = None,
     ) -> None:
         gym.utils.EzPickle.__init__(
@@ -71,6 +74,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             stock_physics,
             cameras,
             depth_noise,
+            colours,
             render_mode,
         )
         if max_hold_ticks < 1:
@@ -86,7 +90,9 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         self._simulation = Simulation(self.embodiment, self._make_robosuite, stock_physics)
         self.scene = Scene(self._simulation.T_world_base, calibrated, self._workspace_world())
         self._camera = DepthCamera(self._simulation.model, placed) if clouds else None
+        self._colours = geom_colours(self._simulation.model) if colours else None
         self._depth_m: dict[str, np.ndarray] = {}
+        self._rgb: dict[str, np.ndarray] = {}
         self._picture: Picture | None = None
         n = len(self.embodiment.joint_names)
         kinds = np.array(self.embodiment.joint_units) == "m"
@@ -95,7 +101,10 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         self._tolerance = np.where(arm, ARM_TOLERANCE_RAD, tolerance)[self._simulation.driven]
         lower, upper = (x.astype(np.float32) for x in (self.embodiment.lower, self.embodiment.upper))
         self.action_space = gym.spaces.Box(lower, upper, dtype=np.float32)
-        box = np.tile(self.scene.workspace_world.astype(np.float32)[:, None], (1, CLOUD_POINTS, 1))
+        box = self.scene.workspace_world
+        if colours:
+            box = np.concatenate([box, [[0.0] * 3, [1.0] * 3]], axis=1)
+        box = np.tile(box.astype(np.float32)[:, None], (1, CLOUD_POINTS, 1))
         spaces = {
             # Physics lets a joint pass its limit a little.
             "agent_pos": gym.spaces.Box(-np.inf, np.inf, (n,), np.float32),
@@ -210,8 +219,12 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
     # -- beside Gymnasium ---------------------------------------------------------------------------------------
 
     def depth_m(self) -> dict[str, np.ndarray]:
-        """Camera name to (H, W) float32 depth behind the last observation, metres, 0 where nothing is."""
+        """Camera name to (H, W) float32 depth behind the last observation, whole millimetres in m, 0 where nothing is."""
         return self._depth_m
+
+    def rgb(self) -> dict[str, np.ndarray]:
+        """Camera name to the (H, W, 3) uint8 picture that belongs to the depth; empty without `colours`."""
+        return self._rgb
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -266,13 +279,16 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             "environment_state": self._read_state().astype(np.float32),
         }
         if self._camera is not None:
+            self._depth_m, self._rgb = {}, {}
             images = self._camera.render(self._simulation.data)
-            self._depth_m = {name: depth for name, (depth, _) in images.items()}
-            if self._noise is not None:
-                for camera in self._camera.cameras:
-                    clean = self._depth_m[camera.name]
-                    self._depth_m[camera.name] = add_noise(clean, camera, self._noise, self._noise_random)
-            points = fuse_depth(self.scene, self._depth_m)
+            for camera, (depth_m, geom_id) in zip(self._camera.cameras, images.values(), strict=True):
+                if self._colours is not None:
+                    self._rgb[camera.name] = shade(depth_m, geom_id, camera, self._colours)
+                if self._noise is not None:
+                    depth_m = add_noise(depth_m, camera, self._noise, self._noise_random)
+                # Whole millimetres, as depth cameras give and datasets store: what is seen live is what is recorded.
+                self._depth_m[camera.name] = np.rint(depth_m * MM_PER_M) / MM_PER_M
+            points = fuse_depth(self.scene, self._depth_m, self._rgb)
             points = points[crop(points, self.scene.workspace_world)]
             observation["point_cloud"] = farthest_point_sample(points, CLOUD_POINTS)
         return observation
