@@ -3,12 +3,15 @@
 import json
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from cei_converters import convert, pads, record, replay
 from cei_converters.reader import DatasetReader
 from cei_gym.embodiment import load_embodiment
+from cei_gym.transfer import Transfer
+from cei_gym.wrapper import CrossEmbodimentWrapper
 
 SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
 EPISODES = 2
@@ -84,6 +87,61 @@ def test_the_cube_stays_in_the_synthesised_cloud_and_the_source_robot_does_not(j
     near = np.linalg.norm(after.point_cloud_world[0] - cube, axis=1) < 0.04
     assert near.sum() >= 5
     assert after.depth_m == {}
+
+
+def test_any_number_of_workers_writes_the_same_dataset(job: Path) -> None:
+    assert convert.main([*source_options(job), *target_options(job, "serial"), "--workers=1"]) == 0
+    one, more = (DatasetReader("me/any", job / name) for name in ("serial", "target"))
+    for i in range(EPISODES):
+        before, after = one.read(i), more.read(i)
+        np.testing.assert_array_equal(after.action, before.action)
+        np.testing.assert_array_equal(after.point_cloud_world, before.point_cloud_world)
+
+
+@pytest.fixture(scope="module")
+def coloured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A demonstration seen by two noisy cameras, in colour."""
+    root = tmp_path_factory.mktemp("coloured") / "source"
+    seen = ["--colours", "--cameras=[front,left]", "--depth_noise=kinect"]
+    options = [f"--env=CEI-PickCube-{SOURCE}", "--episodes=1", "--seed=3", "--repo_id=me/coloured", f"--root={root}"]
+    assert record.main([*options, *seen]) == 0
+    return root
+
+
+def test_the_wrapper_shows_live_what_the_converter_stores(coloured: Path) -> None:
+    """Bit for bit: noise, colours, millimetres, mask, samples and thinning, across a dataset on disk."""
+    reader = DatasetReader("me/coloured", coloured)
+    recorded = reader.read(0)
+    converter = Transfer(reader.embodiment, reader.embodiment)
+    stored = converter._clouds(recorded, converter._scenes(recorded), recorded.qpos)
+    assert reader.metadata is not None
+    made = reader.metadata.environment
+    assert made.id is not None
+    env = CrossEmbodimentWrapper(gym.make(made.id, **made.kwargs))
+    assert recorded.environment_state is not None
+    start = {"agent_pos": recorded.qpos[0], "environment_state": recorded.environment_state[0]}
+    shown = [env.reset(seed=reader.record(0)["seed"], options=start)[0]["point_cloud"]]
+    for action in recorded.action[:-1]:
+        shown.append(env.step(action.astype(np.float32))[0]["point_cloud"])
+    env.close()
+    assert stored is not None
+    assert stored.shape[1:] == (1024, 6)
+    np.testing.assert_array_equal(np.stack(shown), stored)
+
+
+def test_colours_are_converted_and_pictures_pass_through(coloured: Path) -> None:
+    root = coloured.with_name("target")
+    options = ["--dataset.repo_id=me/coloured", f"--dataset.root={coloured}", f"--target={TARGET}"]
+    assert convert.main([*options, "--new_repo_id=me/target", f"--new_root={root}"]) == 0
+    before, after = (DatasetReader("me/any", folder) for folder in (coloured, root))
+    assert set(before.cameras) == set(after.cameras) == {"observation.images.front", "observation.images.left"}
+    cloud = after.read(0).point_cloud_world
+    assert cloud is not None
+    assert cloud.shape[1:] == (1024, 6)
+    cube = before.read(0).environment_state[0, :3]
+    red = cloud[0][np.linalg.norm(cloud[0, :, :3] - cube, axis=1) < 0.03][:, 3:]
+    assert len(red) > 5
+    assert np.median(red[:, 0] - red[:, 1:].max(axis=1)) > 0.1  # robosuite's cube is red
 
 
 def test_stock_lerobot_reads_the_converted_dataset(job: Path) -> None:
