@@ -264,8 +264,23 @@ def test_options_that_are_left_out_leave_observations_as_they_are(envs: dict[str
     assert_same(rollout(other, actions, seed=3), rollout(env, actions, seed=3))
     np.testing.assert_array_equal(env.scene.cameras[0].T_world_camera, other.scene.cameras[0].T_world_camera)
     images = DepthCamera(env.model, env.scene.cameras).render(env._simulation.data)
-    np.testing.assert_array_equal(env.depth_m()["front"], images["front"][0])
+    whole_mm = np.rint(images["front"][0] * np.float32(1000)) / np.float32(1000)
+    np.testing.assert_array_equal(env.depth_m()["front"], whole_mm)
     other.close()
+
+
+def test_colours_are_those_of_the_pictures(envs: dict[str, CEIEnv]) -> None:
+    env, plain = make(NAMES[0], colours=True), envs[NAMES[0]]
+    cloud = env.reset(seed=3)[0]["point_cloud"]
+    assert env.observation_space["point_cloud"].contains(cloud)
+    np.testing.assert_array_equal(cloud[:, :3], plain.reset(seed=3)[0]["point_cloud"])
+    assert plain.rgb() == {}
+    depth_m, picture = env.depth_m()["front"], env.rgb()["front"]
+    points = unproject(depth_m, env.scene.cameras[0]).astype(np.float32)
+    colour_of = dict(zip(map(bytes, points), (picture[depth_m > 0] / 255).astype(np.float32), strict=True))
+    for point in cloud:
+        np.testing.assert_array_equal(point[3:], colour_of[bytes(point[:3])])
+    env.close()
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -43,7 +43,8 @@ class OpenDrawerEnv(CEIEnv):
     "agent_pos": ...}` restores a recorded start exactly.
 
     ### Arguments
-    See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `render_mode`.
+    See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,
+    `render_mode`.
     """
 
     task: ClassVar[str] = "OpenDrawer"

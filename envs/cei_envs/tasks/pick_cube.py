@@ -32,7 +32,7 @@ class PickCubeEnv(CEIEnv):
     | key | shape | meaning | unit | min | max |
     |---|---|---|---|---|---|
     | `agent_pos` | (n,) | joint positions of arm, then end-effector | rad; m for slides | -inf | inf |
-    | `point_cloud` | (1024, 3) | what the cameras see in the workspace, robot included; world frame | m | workspace | workspace |
+    | `point_cloud` | (1024, 3) | what the cameras see in the workspace, robot included; world frame; with `colours` (1024, 6), r, g, b in [0, 1] | m | workspace | workspace |
     | `environment_state` | (11,) | the cube, as below | as below | -inf | inf |
 
     | index of `environment_state` | meaning | unit | at a start |
@@ -53,7 +53,8 @@ class PickCubeEnv(CEIEnv):
     "agent_pos": ...}` restores a recorded start exactly.
 
     ### Arguments
-    See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `render_mode`.
+    See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,
+    `render_mode`.
     """
 
     task: ClassVar[str] = "PickCube"
