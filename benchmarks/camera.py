@@ -1,11 +1,17 @@
 """The depth camera against MuJoCo's own renderer, where a GL library exists: agreement and milliseconds a frame.
 
-    MUJOCO_GL=egl python benchmarks/camera.py [--size 160x120]
+usage: python benchmarks/camera.py [--size 160x120] [--embodiment IIWA-Inspire] [--results results/observation]
 
-Away from edges: pixels whose eight neighbours show the same geom, without a bend in depth.
+Away from edges: pixels whose eight neighbours show the same geom, without a bend in depth. Writes camera.json.
 """
 
+import os
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported; osmesa does, too
+
 import argparse
+import json
+from pathlib import Path
 from time import perf_counter
 
 import gymnasium as gym
@@ -13,6 +19,7 @@ import mujoco
 import numpy as np
 
 import cei_gym  # noqa: F401  (registers the environments)
+from cei_converters.provenance import git_commit, versions
 from cei_gym.rendering import DepthCamera, camera_from_mujoco
 
 CAMERAS = ("agentview", "frontview", "sideview")
@@ -42,8 +49,8 @@ def milliseconds(call, repeats: int = 30) -> float:
     return float(np.median(times))
 
 
-def compare(task: str, embodiment: str, width: int, height: int) -> None:
-    """Prints one row."""
+def compare(task: str, embodiment: str, width: int, height: int) -> dict:
+    """One row."""
     env = gym.make(f"CEI-{task}-{embodiment}", clouds=False).unwrapped
     near, same, away, theirs_ms, ours_ms = [], [], [], [], []
     for seed in range(3):
@@ -77,22 +84,41 @@ def compare(task: str, embodiment: str, width: int, height: int) -> None:
                     ours_ms.append(milliseconds(lambda: ours.render(data)))  # noqa: B023
                 renderer.disable_depth_rendering()
     env.close()
-    print(
-        f"{task:<11} {100 * np.concatenate(near).mean():8.3f} {100 * np.concatenate(same).mean():8.3f} "
-        f"{100 * np.mean(away):8.1f} {np.mean(ours_ms):8.2f} {np.mean(theirs_ms):8.2f}"
-    )
+    return {
+        "task": task,
+        "within_1_mm_percent": round(100 * np.concatenate(near).mean(), 3),
+        "same_geom_percent": round(100 * np.concatenate(same).mean(), 3),
+        "away_from_edges_percent": round(100 * float(np.mean(away)), 1),
+        "ours_ms": round(float(np.mean(ours_ms)), 2),
+        "gl_ms": round(float(np.mean(theirs_ms)), 2),
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", default="160x120", help="of the images")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", default="160x120")
     parser.add_argument("--embodiment", default="IIWA-Inspire")
-    arguments = parser.parse_args()
-    width, height = map(int, arguments.size.split("x"))
-    print(f"{arguments.embodiment}, {width}x{height}, three viewpoints, three starts")
-    print(f"{'task':<11} {'1 mm %':>8} {'ids %':>8} {'away %':>8} {'ours ms':>8} {'GL ms':>8}")
+    parser.add_argument("--results", type=Path, default=Path("results/observation"))
+    args = parser.parse_args()
+    width, height = map(int, args.size.split("x"))
+    try:
+        mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8).close()
+    except Exception as error:  # PyOpenGL and ctypes fail in many ways without a library
+        raise SystemExit(f"MuJoCo's renderer does not run here ({error}); try MUJOCO_GL=osmesa.") from error
+    rows = []
     for task in TASKS:
-        compare(task, arguments.embodiment, width, height)
+        rows.append(compare(task, args.embodiment, width, height))
+        print("  ".join(f"{name} {value}" for name, value in rows[-1].items()), flush=True)
+    result = {
+        "embodiment": args.embodiment,
+        "size": args.size,
+        "cameras": CAMERAS,
+        "rows": rows,
+        "versions": versions(("cei-gym", "mujoco", "numba", "robosuite")),
+        "commit": git_commit(),
+    }
+    args.results.mkdir(parents=True, exist_ok=True)
+    (args.results / "camera.json").write_text(json.dumps(result, indent=1) + "\n")
 
 
 if __name__ == "__main__":
