@@ -57,7 +57,8 @@ def test_axial_noise_grows_as_stated(z: float, offset: float, growth: float, sta
     sigma = offset + growth * (z - start) ** 2
     assert error.std() == pytest.approx(sigma, rel=0.03, abs=1e-6)
     assert abs(error.mean()) < 5 * sigma / np.sqrt(error.size) + 1e-6
-    assert stats.kstest(error.ravel() / (sigma + 1e-5), "norm").pvalue > 1e-4 or sigma < 1e-4
+    if sigma > 1e-4:  # below, single precision shows
+        assert stats.kstest(error.ravel() / sigma, "norm").pvalue > 1e-3
 
 
 def test_the_kinects_figures_are_the_published_ones() -> None:
