@@ -98,6 +98,20 @@ def test_a_clouds_points_are_finite_in_the_workspace_and_of_the_target_and_the_s
     assert on_target.all() == (damage is nothing)  # else something of the scene is in it
 
 
+@pytest.mark.parametrize("damage", [None, outliers])
+def test_outliers_are_dropped_where_that_is_asked_for(damage: Damage | None, env: CEIEnv) -> None:
+    depth_m = env.depth_m()
+    if damage is not None:
+        depth_m = {name: damage(d, np.random.default_rng(0)) for name, d in depth_m.items()}
+    target = load_embodiment(TARGET)
+    careful = CloudSynthesiser(load_embodiment(SOURCE), target, CloudOptions(outlier_m=0.03))
+    kept = careful.remove(fuse_depth(env.scene, depth_m), env.scene, env._simulation.qpos)
+    cloud = careful.add(kept, env.scene, target.home)
+    assert near_robot(TARGET, cloud, target.home, env, 1e-4).sum() >= 600
+    cube = env._read_state()[:3]
+    assert (np.linalg.norm(cloud - cube, axis=1) < 0.04).sum() >= 5
+
+
 def test_of_the_source_a_stated_share_is_left(env: CEIEnv) -> None:
     """Pixels that truly show the source robot, and are farther than tau from where it should be."""
     truth = DepthCamera(env.model, env._camera.cameras).render(env._simulation.data)  # pyright: ignore

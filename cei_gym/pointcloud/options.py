@@ -15,6 +15,8 @@ class CloudOptions:
             `points` are drawn for thinning.
         tau_m: points within this distance of the surface of the robot that is taken out are removed (the paper's 5 mm).
         voxel_m: before thinning, keep one point a cell of this edge; 0 keeps all, as the paper does.
+        outlier_m: drop recorded points with fewer than three others within this distance (30 mm for real cameras: farthest-point
+            thinning picks outliers first); 0 keeps them.
         seen_only: put in only those points of the robot that the scene's cameras would see.
         colours: keep colours where they are recorded: points are then x, y, z in m and r, g, b in [0, 1].
         seed: of sampling and thinning.
@@ -24,6 +26,7 @@ class CloudOptions:
     robot_points: int = 16384
     tau_m: float = 0.005
     voxel_m: float = 0.0
+    outlier_m: float = 0.0
     seen_only: bool = False
     colours: bool = True
     seed: int = 0
@@ -34,5 +37,6 @@ class CloudOptions:
                 raise CEIError(f"clouds.{name}={getattr(self, name)} must be at least 1.")
         if not 0 < self.tau_m < float("inf"):
             raise CEIError(f"clouds.tau_m={self.tau_m} must be positive and finite.")
-        if not 0 <= self.voxel_m < float("inf"):
-            raise CEIError(f"clouds.voxel_m={self.voxel_m} must be at least 0 and finite.")
+        for name in ("voxel_m", "outlier_m"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise CEIError(f"clouds.{name}={getattr(self, name)} must be at least 0 and finite.")

@@ -8,12 +8,14 @@ from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud.crop import crop
+from cei_gym.pointcloud.isolated import isolated
 from cei_gym.pointcloud.mask import RobotMask
 from cei_gym.pointcloud.options import CloudOptions
 from cei_gym.pointcloud.sample import SurfaceSampler
 from cei_gym.pointcloud.seen import SeenPoints
 from cei_gym.pointcloud.thin import farthest_point_sample, first_of_voxels
 
+_COMPANY = 3  # others that a point of a surface has around it
 _CANDIDATES = (
     2  # a point: more spread hardly better (mean distance to the cloud 5.0 mm, with four 4.8), and thin slower
 )
@@ -56,7 +58,10 @@ class CloudSynthesiser:
             )
         points = points_world if self.options.colours else points_world[:, :3]
         points = points[crop(points, scene.workspace_world)]
-        return points[~self._mask(points[:, :3], scene.T_world_base @ self._source.forward(qpos))]
+        points = points[~self._mask(points[:, :3], scene.T_world_base @ self._source.forward(qpos))]
+        if self.options.outlier_m:
+            points = points[~isolated(points[:, :3], self.options.outlier_m, _COMPANY)]
+        return points
 
     def add(self, points_world: np.ndarray, scene: Scene, qpos: np.ndarray) -> np.ndarray:
         """The target's cloud of one frame.
