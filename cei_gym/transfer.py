@@ -294,9 +294,9 @@ class Transfer:
         points, normals = motion.points_base[:1], motion.normals_base[:1]
         u0 = self._follower.solver.track(points, normals, basin.u, _FIRST_FRAME_ITERATIONS).u[0]
         motion = replace(motion, u0=u0)
-        frames = pace(self.problem, self._follower.solver, self.solver_options, motion, self.options.stretch)
+        frames, free = pace(self.problem, self._follower.solver, self.solver_options, motion, self.options.stretch)
         motion = motion.at(frames)
-        track = self._follower.follow(motion)
+        track = self._follower.follow(motion, free)
         return _Followed(frames, motion, track, judge(self._follower, [motion], basin.u, [track]))
 
     def _report(self, motion: Motion, track: Track) -> AlignmentReport:

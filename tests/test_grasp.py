@@ -851,7 +851,7 @@ def panda_motion(share_of_fastest: float, frames: int = 8) -> Motion:
 
 def paced(motion: Motion, stretch: float, options: SolverOptions = OPTIONS) -> np.ndarray:
     problem = problem_of(SOURCE)
-    return pace(problem, make_solver(problem, options), options, motion, stretch)
+    return pace(problem, make_solver(problem, options), options, motion, stretch)[0]
 
 
 def test_a_motion_that_can_be_kept_up_with_keeps_its_frames() -> None:

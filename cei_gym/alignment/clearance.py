@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+from numba import njit
 
 from cei_gym.alignment.links import link_shapes
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
@@ -59,8 +60,18 @@ class Clearance:
 
     def _surroundings_depth(self, data: mujoco.MjData, support_z_base_m: float) -> float:
         """Depth below the support surface, or into the column that the robot stands on."""
-        points = np.einsum("vij,vj->vi", data.xmat.reshape(-1, 3, 3)[self._bodies], self._vertices)
-        points += data.xpos[self._bodies]
-        below_surface = support_z_base_m + self._margins - points[:, 2]
-        into_column = np.minimum(_COLUMN_RADIUS_M - np.hypot(points[:, 0], points[:, 1]), -points[:, 2])
-        return float(np.max(np.maximum(below_surface, into_column), initial=0.0))
+        return float(_deepest(data.xmat, data.xpos, self._bodies, self._vertices, self._margins, support_z_base_m))
+
+
+@njit(cache=True, nogil=True)
+def _deepest(R, p, bodies, vertices, margins, support_z):
+    deepest = 0.0
+    for n in range(len(bodies)):
+        b = bodies[n]
+        v = vertices[n]
+        x = R[b, 0] * v[0] + R[b, 1] * v[1] + R[b, 2] * v[2] + p[b, 0]
+        y = R[b, 3] * v[0] + R[b, 4] * v[1] + R[b, 5] * v[2] + p[b, 1]
+        z = R[b, 6] * v[0] + R[b, 7] * v[1] + R[b, 8] * v[2] + p[b, 2]
+        into_column = min(_COLUMN_RADIUS_M - np.hypot(x, y), -z)
+        deepest = max(deepest, support_z + margins[n] - z, into_column)
+    return deepest

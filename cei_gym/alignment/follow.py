@@ -40,13 +40,19 @@ class Follower:
         target = make_target(self.problem.representation, self.problem.tree, all_joints=True)
         return target, keep_out_links(self.problem, self.options.clearance)
 
-    def follow(self, motion: Motion) -> Track:
-        """See `follow_all`."""
-        return self.follow_all([motion])[0]
+    def follow(self, motion: Motion, free: Track | None = None) -> Track:
+        """See `follow_all`; `free` is the motion followed freely, if it has been."""
+        return self._careful([motion], [free] if free else self._freely([motion]))[0]
 
     def follow_all(self, motions: Sequence[Motion], refine: bool = True) -> list[Track]:
         """The tracks of motions; those without `surroundings` are only followed freely, those without `grip` not refined."""
-        tracks = self.solver.track_all([replace(m, surroundings=None) for m in motions])
+        return self._careful(motions, self._freely(motions), refine)
+
+    def _freely(self, motions: Sequence[Motion]) -> list[Track]:
+        return self.solver.track_all([replace(m, surroundings=None) for m in motions])
+
+    def _careful(self, motions: Sequence[Motion], free: Sequence[Track], refine: bool = True) -> list[Track]:
+        tracks = list(free)
         near = [i for i, m in enumerate(motions) if self._too_near(m, tracks[i])]
         again = self.solver.track_all([motions[i] for i in near])
         for i, track in zip(near, again, strict=True):

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from scipy.spatial import Delaunay, QhullError
 
 from cei_gym.embodiment.meshes import outermost
@@ -188,12 +189,18 @@ def _touched(grip: Grip, pads: np.ndarray, points: np.ndarray, radius_m: float) 
     return grip.rotation[0].T @ ((touched.mean(axis=0) - grid.mean(axis=0)) @ across)
 
 
-def in_grip(points: np.ndarray, contacts: np.ndarray, radius_m: float) -> np.ndarray:
+@njit(cache=True, nogil=True)
+def in_grip(points, contacts, radius_m):
     """(P,) which of the points (P, 3) lie between two contacts (2, 3), within a radius of the line through them."""
     line = contacts[1] - contacts[0]
-    length = np.linalg.norm(line)
-    if length < 1e-6:
-        return np.linalg.norm(points - contacts[0], axis=1) < radius_m
-    along = (points - contacts[0]) @ (line / length)
-    across = np.linalg.norm(points - contacts[0] - along[:, None] * (line / length), axis=1)
-    return (across < radius_m) & (along > -radius_m) & (along < length + radius_m)
+    length = np.sqrt((line**2).sum())
+    touching = length < 1e-6
+    if not touching:
+        line /= length
+    inside = np.empty(len(points), dtype=np.bool_)
+    for n in range(len(points)):
+        offset = points[n] - contacts[0]
+        along = 0.0 if touching else (offset * line).sum()
+        across = np.sqrt(((offset - along * line) ** 2).sum())
+        inside[n] = across < radius_m and (touching or -radius_m < along < length + radius_m)
+    return inside

@@ -62,7 +62,7 @@ def run_cell(cell: Cell, folder: Path, keep_dataset: bool) -> dict[str, Any]:
         shutil.rmtree(root.parent, ignore_errors=True)  # left by a run that was stopped
         options = [
             *(f"--dataset.repo_id={_repo_id(source)}", f"--dataset.root={source}", f"--target={cell.target}"),
-            *(f"--new_repo_id={_repo_id(root)}", f"--new_root={root}", "--allow_unreachable"),
+            *(f"--new_repo_id={_repo_id(root)}", f"--new_root={root}", "--allow_unreachable", "--workers=1"),
             *(() if keep_dataset else JOINTS_ONLY),
             *VARIANTS[cell.variant],
         ]
