@@ -1,6 +1,5 @@
 """Depth features of a LeRobot dataset, images or video, as metres."""
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -52,18 +51,19 @@ def image_depth_m(column: Any, feature: Mapping[str, Any], camera: Camera, where
     Raises:
         CEIError: a cell is no depth image of the camera's size.
     """
+    import cv2  # three times as fast as Pillow, and without the GIL
     from lerobot.configs.video import infer_depth_unit
-    from PIL import Image, UnidentifiedImageError
 
     unit = (feature.get("info") or {}).get("depth_unit")
     depth_m = np.empty((len(column), camera.height, camera.width), np.float32)
     for frame, cell in enumerate(column):
-        try:
-            depth = np.asarray(Image.open(io.BytesIO(cell["bytes"].as_py())))
-            depth_m[frame] = depth
-        except (UnidentifiedImageError, TypeError, ValueError, OSError) as error:
+        stored = cell["bytes"].as_py() or b""
+        depth = cv2.imdecode(np.frombuffer(stored, np.uint8), cv2.IMREAD_UNCHANGED) if stored else None
+        if depth is None or depth.shape != depth_m.shape[1:]:
+            found = "none" if depth is None else f"one of {'x'.join(map(str, depth.shape[::-1]))}"
             size = f"{camera.width}x{camera.height}"
-            raise CEIError(f"{where}: frame {frame} is no {size} depth image ({one_line(error)}).") from error
+            raise CEIError(f"{where}: frame {frame} is no {size} depth image, but {found}.")
+        depth_m[frame] = depth
         unit = unit or infer_depth_unit(depth.dtype)
     if unit == "mm":
         depth_m /= MM_PER_M
