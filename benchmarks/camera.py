@@ -5,24 +5,21 @@ usage: python benchmarks/camera.py [--size 160x120] [--embodiment IIWA-Inspire] 
 Away from edges: pixels whose eight neighbours show the same geom, without a bend in depth. Writes camera.json.
 """
 
-import os
-
-os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported; osmesa does, too
-
 import argparse
 import json
 from pathlib import Path
-from time import perf_counter
 
 import gymnasium as gym
 import mujoco
 import numpy as np
+from measure import milliseconds, use_gl
 
 import cei_gym  # noqa: F401  (registers the environments)
 from cei_converters.provenance import git_commit, versions
 from cei_gym.rendering import DepthCamera, camera_from_mujoco
 
 CAMERAS = ("agentview", "frontview", "sideview")
+REPEATS = 30
 TASKS = ("OpenDrawer", "PickCube", "StackCube")
 
 
@@ -36,17 +33,6 @@ def away_from_edges(depth_m: np.ndarray, geom_id: np.ndarray) -> np.ndarray:
     one_geom = (ids == ids[..., 1:2, 1:2]).all(axis=(-1, -2)) & (ids[..., 1, 1] >= 0)
     inside[1:-1, 1:-1] = one_geom & (bend < 0.02 * depth_m[1:-1, 1:-1])
     return inside
-
-
-def milliseconds(call, repeats: int = 30) -> float:
-    """Median time of a call after a first one."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = perf_counter()
-        call()
-        times.append(1e3 * (perf_counter() - start))
-    return float(np.median(times))
 
 
 def compare(task: str, embodiment: str, width: int, height: int) -> dict:
@@ -80,8 +66,8 @@ def compare(task: str, embodiment: str, width: int, height: int) -> dict:
                 near.append((np.abs(depth_m - true_depth_m) < 1e-3)[inside])
                 same.append((geom_id == true_id)[inside])
                 if seed == 0:
-                    theirs_ms.append(milliseconds(theirs))  # depth alone; ids are another pass
-                    ours_ms.append(milliseconds(lambda: ours.render(data)))  # noqa: B023
+                    theirs_ms.append(milliseconds(theirs, REPEATS)["median"])  # depth alone; ids are another pass
+                    ours_ms.append(milliseconds(lambda: ours.render(data), REPEATS)["median"])  # noqa: B023
                 renderer.disable_depth_rendering()
     env.close()
     return {
@@ -101,10 +87,8 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=Path("results/observation"))
     args = parser.parse_args()
     width, height = map(int, args.size.split("x"))
-    try:
-        mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8).close()
-    except Exception as error:  # PyOpenGL and ctypes fail in many ways without a library
-        raise SystemExit(f"MuJoCo's renderer does not run here ({error}); try MUJOCO_GL=osmesa.") from error
+    if not use_gl():
+        raise SystemExit("MuJoCo's renderer does not run here: there is no GL library.")
     rows = []
     for task in TASKS:
         rows.append(compare(task, args.embodiment, width, height))

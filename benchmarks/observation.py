@@ -13,18 +13,16 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core for both ways
 
 import argparse
-import importlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
 
 import fpsample
 import gymnasium as gym
 import mujoco
 import numpy as np
-from mujoco.rendering.classic import gl_context
+from measure import milliseconds, use_gl
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.distance import cdist
@@ -53,29 +51,9 @@ LARGE_WORLD = np.array([[-0.6, -0.5, 0.7], [0.4, 0.5, 1.6]])
 OBVIOUS_SAMPLES = 4096
 
 
-def milliseconds(call: Callable, repeats: int) -> dict[str, float]:
-    """Median and 99th percentile, after a first call that compiles."""
-    call()
-    times_ms = []
-    for _ in range(repeats):
-        start = perf_counter()
-        call()
-        times_ms.append(1e3 * (perf_counter() - start))
-    return {"median": round(float(np.median(times_ms)), 2), "p99": round(float(np.percentile(times_ms, 99)), 2)}
-
-
 def gl_depth(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera) -> Callable | None:
     """MuJoCo's own renderer; None where there is no GL library."""
-    for backend in ("egl", "osmesa"):
-        try:
-            context = importlib.import_module(f"mujoco.{backend}").GLContext
-            context(16, 16).free()
-        except Exception as error:  # PyOpenGL and ctypes fail in many ways without a library
-            print(f"no {backend}: {error}")
-            continue
-        gl_context.GLContext = context  # whoever imported mujoco first has not set MUJOCO_GL
-        break
-    else:
+    if not use_gl():
         return None
     renderer = mujoco.Renderer(model, camera.height, camera.width)
     renderer.enable_depth_rendering()

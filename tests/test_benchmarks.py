@@ -40,6 +40,18 @@ def test_impersonation(tmp_path: Path) -> None:
     assert 0 < result["wrapper_ms"]["50"] <= result["wrapper_ms"]["99"]
 
 
+def test_observation(tmp_path: Path) -> None:
+    run("observation.py", tmp_path, "--repeats=2")
+    result = json.loads((tmp_path / "results/observation.json").read_text())
+    masks = [row for row in result["rows"] if row["step"] == "mask"]
+    assert {(row["view"], row["points"]) for row in masks} == {
+        (v, p) for v in ("task", "close-up") for p in (4800, 19200)
+    }
+    for row in masks:
+        assert row["missed"]["ours"] <= 0.01 * row["on_the_robot"] < row["missed"]["obvious"]
+    assert set(result["control_period_ms"]) == {"environment", "with CrossEmbodimentWrapper"}
+
+
 def test_first_frame(tmp_path: Path) -> None:
     printed = run("first_frame.py", tmp_path, "--cases=2", "--seed=0")
     assert "multistart" in printed

@@ -297,6 +297,8 @@ def test_points_of_a_frame_come_from_the_richest_source():
     fused = frame_points(SCENE, depth_m, rgb, coloured, True)
     np.testing.assert_array_equal(fused[:, :3], seen)
     np.testing.assert_array_equal(fused[:, 3:], rgb["a"].reshape(-1, 3)[::3] / 255)
+    np.testing.assert_array_equal(frame_points(SCENE, depth_m, {"b": rgb["a"]}, plain, True), seen)
+    assert frame_points(SCENE, depth_m, {"b": rgb["a"]}, coloured, True) is coloured
     with pytest.raises(CEIError, match=r"camera 'a' has depth \(120, 160\) but a picture of shape None"):
         fuse_depth(SCENE, depth_m, {"b": rgb["a"]})
 

@@ -54,10 +54,11 @@ def frame_points(
     Returns:
         (N, 3 or 6), m, world; None if there is neither image nor cloud.
     """
-    only_cloud_has_colours = colours and not rgb and cloud_world is not None and cloud_world.shape[1] == 6
+    pictures = rgb if colours and depth_m.keys() <= rgb.keys() else None  # of all cameras, or of none
+    only_cloud_has_colours = colours and not pictures and cloud_world is not None and cloud_world.shape[1] == 6
     if not depth_m or only_cloud_has_colours:
         return cloud_world
-    return fuse_depth(scene, depth_m, rgb if colours else None)
+    return fuse_depth(scene, depth_m, pictures)
 
 
 def _colours(camera: str, depth_m: Mapping[str, np.ndarray], rgb: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -15,7 +15,6 @@ from cei_gym.pointcloud.sample import SurfaceSampler
 from cei_gym.pointcloud.seen import SeenPoints
 from cei_gym.pointcloud.thin import farthest_point_sample, first_of_voxels
 
-_COMPANY = 3  # others that a point of a surface has around it
 _CANDIDATES = (
     2  # a point: more spread hardly better (mean distance to the cloud 5.0 mm, with four 4.8), and thin slower
 )
@@ -60,7 +59,7 @@ class CloudSynthesiser:
         points = points[crop(points, scene.workspace_world)]
         points = points[~self._mask(points[:, :3], scene.T_world_base @ self._source.forward(qpos))]
         if self.options.outlier_m:
-            points = points[~isolated(points[:, :3], self.options.outlier_m, _COMPANY)]
+            points = points[~isolated(points[:, :3], self.options.outlier_m)]
         return points
 
     def add(self, points_world: np.ndarray, scene: Scene, qpos: np.ndarray) -> np.ndarray:

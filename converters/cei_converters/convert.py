@@ -293,7 +293,7 @@ def _transfer_episodes(
     with progress_bar("frames") as progress:
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
         spread = sorted({round(i) for i in np.linspace(0, len(selected) - 1, FIT_EPISODES)})
-        transfer.fit([reader.read(selected[i]) for i in spread])
+        transfer.fit([reader.read(selected[i], colours=False) for i in spread])
         workers = 1 if verifier is not None else config.workers or os.cpu_count() or 1  # a simulation is for one thread
         results = in_order(moved, enumerate(selected), workers)
         for i, (index, (demonstration, report, verdict)) in enumerate(zip(selected, results, strict=True)):

@@ -1,0 +1,33 @@
+"""What several benchmarks measure with: a clock, and MuJoCo's own renderer where there is a GL library."""
+
+import importlib
+from collections.abc import Callable
+from time import perf_counter
+
+import numpy as np
+from mujoco.rendering.classic import gl_context
+
+
+def milliseconds(call: Callable, repeats: int) -> dict[str, float]:
+    """Median and 99th percentile, after a first call that compiles."""
+    call()
+    times_ms = []
+    for _ in range(repeats):
+        start = perf_counter()
+        call()
+        times_ms.append(1e3 * (perf_counter() - start))
+    return {"median": round(float(np.median(times_ms)), 2), "p99": round(float(np.percentile(times_ms, 99)), 2)}
+
+
+def use_gl() -> bool:
+    """Have `mujoco.Renderer` draw without a window, whoever imported MuJoCo first; False without a GL library."""
+    for backend in ("egl", "osmesa"):
+        try:
+            context = importlib.import_module(f"mujoco.{backend}").GLContext
+            context(16, 16).free()
+        except Exception as error:  # PyOpenGL and ctypes fail in many ways without a library
+            print(f"no {backend}: {error}")
+            continue
+        gl_context.GLContext = context
+        return True
+    return False
