@@ -3,19 +3,18 @@
 import numpy as np
 from scipy.spatial import KDTree
 
-_COMPANY = 3  # others that a point of a surface has around it, at least
 
-
-def isolated(points: np.ndarray, radius_m: float) -> np.ndarray:
-    """Which points have fewer than three others within a radius.
+def isolated(points: np.ndarray, radius_m: float, neighbours: int = 3) -> np.ndarray:
+    """Which points have fewer than so many others within a radius.
 
     Args:
         points: (N, 3) metres, finite.
         radius_m: how near is near.
+        neighbours: how many others a point of a surface has at least.
 
     Returns:
         (N,) bool.
     """
     if len(points) == 0:
         return np.zeros(0, dtype=bool)
-    return KDTree(points).query_ball_point(points, radius_m, return_length=True) <= _COMPANY  # itself counts
+    return KDTree(points).query_ball_point(points, radius_m, return_length=True) <= neighbours  # itself counts
