@@ -52,18 +52,48 @@ class SurfaceSampler:
         Raises:
             CEIError: there is not one pose for each link.
         """
+        return self.within(T_world_links, np.array([[-np.inf] * 3, [np.inf] * 3]), len(self.points_link))[0]
+
+    def within(self, T_world_links: np.ndarray, box_world: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+        """The first points in a box; drawn in random order, they are as uniform as all that are in it.
+
+        Args:
+            T_world_links: (L, 4, 4) poses of the links.
+            box_world: (2, 3) lower and upper corner, metres, its faces included.
+            most: how many are enough.
+
+        Returns:
+            (m, 3) float64 points in the world, metres, and (m,) which of the sampler's they are; m <= most.
+
+        Raises:
+            CEIError: there is not one pose for each link.
+        """
         T_world_links = np.asarray(T_world_links, dtype=np.float64)
         if T_world_links.shape != (self._links, 4, 4):
             raise CEIError(f"the sampler has {self._links} links, but poses of shape {T_world_links.shape}.")
-        points_world = np.empty_like(self.points_link)
-        _move(self.points_link, self.link_ids, T_world_links, points_world)
-        return points_world
+        most = min(most, len(self.points_link))
+        points_world, which = np.empty((most, 3)), np.empty(most, np.int64)
+        found = _move(
+            self.points_link, self.link_ids, T_world_links, np.asarray(box_world, np.float64), points_world, which
+        )
+        return points_world[:found], which[:found]
 
 
 @njit(cache=True, nogil=True)
-def _move(points_link, link_ids, T_world_links, points_world):
+def _move(points_link, link_ids, T_world_links, box, points_world, which):
+    """Fills points_world and which until they are full; returns how many there are."""
+    found = 0
     for n in range(len(points_link)):
+        if found == len(which):
+            break
         T = T_world_links[link_ids[n]]
         x, y, z = points_link[n]
+        inside = True
         for axis in range(3):
-            points_world[n, axis] = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]
+            moved = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]
+            inside &= box[0, axis] <= moved <= box[1, axis]
+            points_world[found, axis] = moved
+        if inside:
+            which[found] = n
+            found += 1
+    return found

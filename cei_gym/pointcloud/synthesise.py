@@ -78,14 +78,15 @@ class CloudSynthesiser:
         """
         o = self.options
         T_world_links = scene.T_world_base @ self._target.forward(qpos)
-        robot = self._sample(T_world_links)
-        kept = np.flatnonzero(crop(robot, scene.workspace_world))
+        most = _CANDIDATES * o.points
+        robot, which = self._sample.within(
+            T_world_links, scene.workspace_world, o.robot_points if o.seen_only else most
+        )
         if o.seen_only:
-            kept = kept[self._seen_by(scene.cameras)(robot[kept], T_world_links, points_world[:, :3])]
-        kept = kept[: _CANDIDATES * o.points]  # samples are in random order, so the first are as uniform as all
-        robot = robot[kept]
+            seen = np.flatnonzero(self._seen_by(scene.cameras)(robot, T_world_links, points_world[:, :3]))[:most]
+            robot, which = robot[seen], which[seen]
         if points_world.shape[1] == 6:
-            robot = np.concatenate([robot, self._sample.colours[kept]], axis=1)
+            robot = np.concatenate([robot, self._sample.colours[which]], axis=1)
         points = np.concatenate([points_world, robot])
         if o.voxel_m:
             points = points[first_of_voxels(points, o.voxel_m)]

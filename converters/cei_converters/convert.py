@@ -278,6 +278,8 @@ def _transfer_episodes(
     verifier: Verifier | None,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]], list[Verdict]]:
     """Summaries for the table, residuals frame by frame, and what a verifier says; dropped episodes included."""
+    from threadpoolctl import threadpool_limits
+
     from cei_converters.progress import progress_bar
     from cei_converters.workers import in_order
 
@@ -290,7 +292,8 @@ def _transfer_episodes(
         return (*transfer(recorded, mode), None) if verifier is None else verifier(recorded, mode)
 
     entries, residuals, verdicts = [], [], []
-    with progress_bar("frames") as progress:
+    # BLAS's own threads would spin on the cores that our workers have, waiting for the next product of a few thousand points.
+    with progress_bar("frames") as progress, threadpool_limits(1, user_api="blas"):
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
         spread = sorted({round(i) for i in np.linspace(0, len(selected) - 1, FIT_EPISODES)})
         transfer.fit([reader.read(selected[i], colours=False) for i in spread])
