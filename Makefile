@@ -16,8 +16,8 @@ help: ## List the targets (the default)
 
 setup: $(ENVIRONMENT) ## Install everything into .venv, once (PYTHON=... picks the interpreter)
 
-$(ENVIRONMENT): requirements.lock pyproject.toml envs/pyproject.toml scripts/environment
-	@scripts/environment .venv --editable . --editable envs
+$(ENVIRONMENT): requirements.lock pyproject.toml envs/pyproject.toml policies/pyproject.toml scripts/environment
+	@scripts/environment .venv --editable . --editable envs --editable policies
 	@touch $@
 
 demo: setup ## Move a skill between two robots and show it: outputs/demo/report.html
@@ -38,10 +38,11 @@ format: setup ## Format the code and fix what the linter can
 type: setup ## Check types
 	@.venv/bin/pyright
 
-build: setup ## Build the wheels and sdists of both distributions into dist/
+build: setup ## Build the wheels and sdists of all distributions into dist/
 	@rm -rf dist
 	@$(PYTHON_ENV) -m build --quiet --no-isolation --outdir dist .
 	@$(PYTHON_ENV) -m build --quiet --no-isolation --outdir dist envs
+	@$(PYTHON_ENV) -m build --quiet --no-isolation --outdir dist policies
 	@ls dist/*
 
 benchmark: setup ## Run every benchmark

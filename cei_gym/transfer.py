@@ -386,19 +386,26 @@ class Transfer:
         """For each frame the recorded points (M, 3 or 6) without the source robot, world; empty where nothing was recorded."""
         d, scenes = demonstration, []
         for t, qpos in enumerate(d.qpos):
-            depth_m, rgb = ({name: images[t] for name, images in each.items()} for each in (d.depth_m, d.rgb))
-            cloud = None if d.point_cloud_world is None else d.point_cloud_world[t]
-            points = frame_points(d.scene, depth_m, rgb, cloud, self.clouds.colours)
+            points = self._recorded(d, t)
             if points is None:
                 return []
             scenes.append(self._synthesiser.remove(points, d.scene, qpos))
         return scenes
+
+    def _recorded(self, d: Demonstration, t: int) -> np.ndarray | None:
+        """(N, 3 or 6) a frame's recorded points, world; None where nothing was recorded."""
+        depth_m, rgb = ({name: images[t] for name, images in each.items()} for each in (d.depth_m, d.rgb))
+        cloud = None if d.point_cloud_world is None else d.point_cloud_world[t]
+        return frame_points(d.scene, depth_m, rgb, cloud, self.clouds.colours)
 
     def _clouds(
         self, demonstration: Demonstration, scenes: Sequence[np.ndarray], qpos: np.ndarray
     ) -> np.ndarray | None:
         if not scenes:
             return None
+        if not self.clouds.swap:
+            recorded = (self._recorded(demonstration, t) for t in range(len(demonstration)))
+            return np.stack([self._synthesiser.keep(p, demonstration.scene) for p in recorded if p is not None])
         scene = replace(demonstration.scene, T_world_base=self._base(demonstration))
         return np.stack([self._synthesiser.add(s, scene, q) for s, q in zip(scenes, qpos, strict=True)])
 

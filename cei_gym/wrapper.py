@@ -108,12 +108,16 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
 
     def _shown(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         qpos = np.asarray(observation[self._joints_key], float)
-        kept = self._synthesiser.remove(self._points(observation), self._scene, qpos)
+        points = self._points(observation)
+        kept = self._synthesiser.remove(points, self._scene, qpos)
         shown = {}
         if self._impersonation is not None:
             qpos = self._impersonation.observe(qpos)
             shown[self._joints_key] = qpos.astype(np.float32)
-        shown[self._cloud_key] = self._synthesiser.add(kept, self._scene, qpos)
+        swap = self._synthesiser.options.swap
+        shown[self._cloud_key] = (
+            self._synthesiser.add(kept, self._scene, qpos) if swap else self._synthesiser.keep(points, self._scene)
+        )
         return {**observation, **shown}
 
     def _points(self, observation: dict[str, np.ndarray]) -> np.ndarray:

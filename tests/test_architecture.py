@@ -14,11 +14,16 @@ PACKAGES = {
     "cei_gym": ROOT / "cei_gym",
     "cei_envs": ROOT / "envs/cei_envs",
     "cei_converters": ROOT / "converters/cei_converters",
+    "lerobot_env_cei": ROOT / "envs/lerobot_env_cei",
+    "lerobot_policy_dp3": ROOT / "policies/lerobot_policy_dp3",
 }
 FORBIDDEN = {
     "cei_gym": {"robosuite", "lerobot", "datasets", "cei_envs", "cei_converters"},
     "cei_envs": {"lerobot", "datasets", "torch", "cei_converters"},
-    "cei_converters": {"robosuite", "mujoco"},
+    "cei_converters": {"robosuite", "mujoco", "lerobot_env_cei", "lerobot_policy_dp3"},
+    "lerobot_env_cei": {"robosuite", "mujoco", "cei_converters", "lerobot_policy_dp3"},
+    # of use to anybody who has point clouds in LeRobot datasets
+    "lerobot_policy_dp3": {"cei_gym", "cei_envs", "cei_converters", "lerobot_env_cei"},
 }
 # Only solvers that are asked for by name need torch: everything else works without.
 TORCH = {

@@ -10,6 +10,8 @@ class CloudOptions:
     """Options of synthesised clouds; the converter and `CrossEmbodimentWrapper` must agree on them.
 
     Attributes:
+        swap: put the target in the place of the source; False keeps clouds as cameras see them (the paper's ablation without
+            augmentation).
         points: of a cloud (the paper's 1024).
         robot_points: sampled over the whole surface of the robot that is put in; of those that lie in the workspace, at most twice
             `points` are drawn for thinning.
@@ -22,6 +24,7 @@ class CloudOptions:
         seed: of sampling and thinning.
     """
 
+    swap: bool = True
     points: int = 1024
     robot_points: int = 16384
     tau_m: float = 0.005

@@ -55,12 +55,23 @@ class CloudSynthesiser:
             raise CEIError(
                 f"a cloud is (N, 3): x, y, z in m, or (N, 6): and r, g, b in [0, 1]; not {points_world.shape}."
             )
-        points = points_world if self.options.colours else points_world[:, :3]
-        points = points[crop(points, scene.workspace_world)]
+        points = self._cropped(points_world, scene)
         points = points[~self._mask(points[:, :3], scene.T_world_base @ self._source.forward(qpos))]
         if self.options.outlier_m:
             points = points[~isolated(points[:, :3], self.options.outlier_m)]
         return points
+
+    def keep(self, points_world: np.ndarray, scene: Scene) -> np.ndarray:
+        """One frame's cloud with the robot that was recorded: cropped and thinned alone (see `CloudOptions.swap`).
+
+        Args:
+            points_world: (N, 3 or 6) recorded points, m.
+            scene: the workspace that is kept.
+
+        Returns:
+            (options.points, 3 or 6) float32, m, world.
+        """
+        return farthest_point_sample(self._cropped(points_world, scene), self.options.points, self.options.seed)
 
     def add(self, points_world: np.ndarray, scene: Scene, qpos: np.ndarray) -> np.ndarray:
         """The target's cloud of one frame.
@@ -91,6 +102,10 @@ class CloudSynthesiser:
         if o.voxel_m:
             points = points[first_of_voxels(points, o.voxel_m)]
         return farthest_point_sample(points, o.points, o.seed)
+
+    def _cropped(self, points_world: np.ndarray, scene: Scene) -> np.ndarray:
+        points = points_world if self.options.colours else points_world[:, :3]
+        return points[crop(points, scene.workspace_world)]
 
     def _seen_by(self, cameras: tuple[Camera, ...]) -> SeenPoints:
         if not cameras:

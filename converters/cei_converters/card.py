@@ -70,16 +70,20 @@ def _introduction(repo_id: str, metadata: Metadata, info: dict) -> str:
             f"Demonstrations of **{metadata.embodiment}**, converted from **{source.embodiment}** "
             f"(`{source.repo_id}`) with CEI-Gym: {size}. No {metadata.embodiment} was operated: the joint "
             "trajectories are those that bring its functional pads where the source robot's were, found by "
-            "minimising the Directional Chamfer Distance"
-            + (
-                ", and the point clouds show it in the source's place."
-                if schema.POINT_CLOUD in info["features"]
-                else "."
-            )
+            "minimising the Directional Chamfer Distance" + _shown(metadata, info)
         )
     title = f"# {repo_id}\n\n{origin} It is a [LeRobot](https://github.com/huggingface/lerobot) v3.0 dataset."
     environment = metadata.environment
     return title + (f"\n\nEnvironment: `{environment.id}`." if environment.id else "")
+
+
+def _shown(metadata: Metadata, info: dict) -> str:
+    """The end of a sentence: which robot clouds show."""
+    if schema.POINT_CLOUD not in info["features"]:
+        return "."
+    if metadata.provenance.options.get("clouds", {}).get("swap", True):
+        return ", and the point clouds show it in the source's place."
+    return ". **The point clouds still show the source robot** (`--clouds.swap=false`)."
 
 
 def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:

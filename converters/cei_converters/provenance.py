@@ -14,7 +14,7 @@ from typing import Any
 import cei_gym
 from cei_converters.metadata import Provenance, Source, plain
 
-PACKAGES = ("cei-gym", "cei-envs", "lerobot", "datasets", "mujoco", "robosuite", "torch", "numpy")
+PACKAGES = ("cei-gym", "lerobot_env_cei", "lerobot", "datasets", "mujoco", "robosuite", "torch", "numpy")
 
 
 def collect(options: object, *, source: Source | None = None, pads: Mapping[str, Any] | None = None) -> Provenance:

@@ -20,7 +20,7 @@ def main() -> None:
     for package in (cei_gym, cei_converters, cei_envs):
         location = Path(package.__file__).resolve()
         assert location.is_relative_to(site), f"{package.__name__} comes from {location}, not from its wheel"
-    print(f"imports: cei-gym {distribution('cei-gym').version}, cei-envs {distribution('cei-envs').version}")
+    print(f"imports: cei-gym {distribution('cei-gym').version}")
 
     names = embodiment_names()
     for name in names:

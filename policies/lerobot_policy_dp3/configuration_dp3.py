@@ -1,0 +1,157 @@
+"""Options of the 3D Diffusion Policy; by default those of its paper and of ours (section V-A)."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from lerobot.configs import NormalizationMode, PolicyFeature, PreTrainedConfig
+from lerobot.optim import AdamWConfig, DiffuserSchedulerConfig
+from lerobot.utils.constants import OBS_STATE
+
+SIZES = {"paper": (512, 1024, 2048), "simple": (128, 256, 384), "small": (32, 64, 128)}
+"""Name to channels of the UNet's stages: DP3, Simple DP3, and one that learns on a CPU in minutes."""
+
+
+@PreTrainedConfig.register_subclass("dp3")
+@dataclass
+class DP3Config(PreTrainedConfig):
+    """Options of `--policy.type=dp3`.
+
+    Attributes:
+        n_obs_steps: observations that an action depends on.
+        horizon: actions predicted at once, from the first of those observations on.
+        n_action_steps: of these, how many are executed before the next prediction.
+        cloud_key: feature with the point cloud, (N, 3) m or, with colours, (N, 6). Other features but the state are ignored.
+        use_colours: look at the colours, too.
+        points: how many of the cloud's first points to look at; None for all. In farthest-point order, as CEI-Gym's are, the
+            first are as well spread as all.
+        cloud_channels: of the layers applied to each point; None for DP3's (64, 128, 256), with colours (64, 128, 256, 512).
+        cloud_features, state_channels: of the encoders.
+        size: of the UNet, one of `SIZES`, unless `down_dims` says it.
+        down_dims, kernel_size, n_groups, diffusion_step_embed_dim, use_film_scale_modulation, gradient_checkpointing: of the
+            UNet; see LeRobot's `DiffusionConfig`.
+        num_train_timesteps, num_inference_steps, beta_schedule, prediction_type, clip_sample_range: of the noise (DDIM).
+        ema_power, ema_max_decay: the averaged weights decay by `1 - (1 + step) ** -power`, at most by the latter. They are the
+            ones that act.
+        min_range: joints that move less in the data, rad or m, are normalised as if they moved so much: what never moves in a
+            dataset does move a little on a robot.
+        optimizer_lr, optimizer_betas, optimizer_eps, optimizer_weight_decay, scheduler_warmup_steps: of AdamW, whose rate falls
+            by a cosine.
+    """
+
+    n_obs_steps: int = 2
+    horizon: int = 16
+    n_action_steps: int = 8
+    normalization_mapping: dict[str, NormalizationMode] = field(
+        default_factory=lambda: {"STATE": NormalizationMode.MIN_MAX, "ACTION": NormalizationMode.MIN_MAX}
+    )
+
+    cloud_key: str = "observation.point_cloud"
+    use_colours: bool = False
+    points: int | None = None
+    cloud_channels: tuple[int, ...] | None = None
+    cloud_features: int = 64
+    state_channels: tuple[int, int] = (64, 64)
+
+    size: str = "paper"
+    down_dims: tuple[int, ...] | None = None
+    kernel_size: int = 5
+    n_groups: int = 8
+    diffusion_step_embed_dim: int = 128
+    use_film_scale_modulation: bool = True
+    gradient_checkpointing: bool = False
+
+    num_train_timesteps: int = 100
+    num_inference_steps: int = 10
+    beta_schedule: str = "squaredcos_cap_v2"
+    prediction_type: Literal["sample", "epsilon"] = "sample"
+    clip_sample_range: float = 1.0
+
+    ema_power: float = 0.75
+    ema_max_decay: float = 0.9999
+
+    min_range: float = 0.1
+
+    optimizer_lr: float = 1e-4
+    optimizer_betas: tuple[float, float] = (0.95, 0.999)
+    optimizer_eps: float = 1e-8
+    optimizer_weight_decay: float = 1e-6
+    scheduler_warmup_steps: int = 500
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.size not in SIZES:
+            raise ValueError(f"unknown policy.size {self.size!r}. Valid: {', '.join(SIZES)}.")
+        if self.down_dims is None:
+            self.down_dims = SIZES[self.size]
+        if self.cloud_channels is None:
+            self.cloud_channels = (64, 128, 256, 512) if self.use_colours else (64, 128, 256)
+        if self.horizon % (factor := 2 ** (len(self.down_dims) - 1)):
+            raise ValueError(f"policy.horizon={self.horizon} is no multiple of {factor}, which down_dims asks for.")
+        if self.n_action_steps > (most := self.horizon - self.n_obs_steps + 1):
+            raise ValueError(f"policy.n_action_steps={self.n_action_steps} is more than the {most} of the horizon.")
+        if self.prediction_type not in ("sample", "epsilon"):
+            raise ValueError(f"unknown policy.prediction_type {self.prediction_type!r}. Valid: sample, epsilon.")
+
+    @property
+    def cloud_feature(self) -> PolicyFeature:
+        """Shape of the point cloud, (N, 3 or 6).
+
+        Raises:
+            ValueError: there is none.
+        """
+        feature = (self.input_features or {}).get(self.cloud_key)
+        if feature is None or len(feature.shape) != 2 or feature.shape[1] not in (3, 6):
+            shown = {key: tuple(ft.shape) for key, ft in (self.input_features or {}).items()}
+            raise ValueError(f"dp3 needs a point cloud (N, 3 or 6) named {self.cloud_key!r} among the inputs {shown}.")
+        return feature
+
+    def validate_features(self) -> None:
+        """Check that there are a state, a cloud (with colours where they are wanted) and actions.
+
+        Raises:
+            ValueError: saying what is missing.
+        """
+        if self.robot_state_feature is None:
+            raise ValueError(f"dp3 needs {OBS_STATE!r} among the inputs {list(self.input_features or {})}.")
+        if self.action_feature is None:
+            raise ValueError(f"dp3 needs 'action' among the outputs {list(self.output_features or {})}.")
+        points, channels = self.cloud_feature.shape
+        if self.use_colours and channels != 6:
+            raise ValueError(
+                f"policy.use_colours, but {self.cloud_key!r} is {tuple(self.cloud_feature.shape)}: no colours."
+            )
+        if self.points is not None and not 1 <= self.points <= points:
+            raise ValueError(f"policy.points={self.points}, but the cloud has {points}.")
+
+    def get_optimizer_preset(self) -> AdamWConfig:
+        """AdamW as in DP3."""
+        return AdamWConfig(
+            lr=self.optimizer_lr,
+            betas=self.optimizer_betas,
+            eps=self.optimizer_eps,
+            weight_decay=self.optimizer_weight_decay,
+        )
+
+    def get_scheduler_preset(self) -> DiffuserSchedulerConfig:
+        """A cosine after a warm-up, as in DP3."""
+        return DiffuserSchedulerConfig(name="cosine", num_warmup_steps=self.scheduler_warmup_steps)
+
+    @property
+    def drop_n_last_frames(self) -> int:
+        """Frames at an episode's end that no window starts at: their actions would be mostly repeats of the last."""
+        return self.horizon - self.n_action_steps - self.n_obs_steps + 1
+
+    @property
+    def observation_delta_indices(self) -> list[int]:
+        """Observations of a window, in frames from now."""
+        return list(range(1 - self.n_obs_steps, 1))
+
+    @property
+    def action_delta_indices(self) -> list[int]:
+        """Actions of a window, in frames from now."""
+        return list(range(1 - self.n_obs_steps, 1 - self.n_obs_steps + self.horizon))
+
+    @property
+    def reward_delta_indices(self) -> None:
+        """No rewards."""
+        return None

@@ -1,0 +1,118 @@
+"""3D Diffusion Policy: LeRobot's diffusion over actions, conditioned on point clouds and states."""
+
+from collections import deque
+from typing import Any, cast
+
+import torch
+import torch.nn.functional as F
+from diffusers.schedulers.scheduling_ddim import DDIMScheduler
+from lerobot.policies.diffusion.modeling_diffusion import DiffusionConditionalUnet1d, DiffusionModel
+from lerobot.policies.pretrained import PreTrainedPolicy
+from lerobot.policies.utils import populate_queues
+from lerobot.utils.constants import ACTION, OBS_STATE
+from torch import Tensor, nn
+
+from lerobot_policy_dp3.averaging import averaged
+from lerobot_policy_dp3.configuration_dp3 import DP3Config
+from lerobot_policy_dp3.encoder import ObservationEncoder
+
+
+class DP3Policy(PreTrainedPolicy):
+    """See `DP3Config`. Weights are trained, and their running average acts; checkpoints hold both."""
+
+    config_class = DP3Config  # pyright: ignore[reportAssignmentType]
+    name = "dp3"  # pyright: ignore[reportAssignmentType]
+
+    def __init__(self, config: DP3Config, **kwargs) -> None:
+        super().__init__(config)
+        config.validate_features()
+        self.config: DP3Config = config
+        self.model = DP3Model(config)
+        self.average = averaged(self.model, config.ema_power, config.ema_max_decay)
+        self.reset()
+
+    def get_optim_params(self):
+        """What the optimiser changes; the average follows by itself."""
+        return self.model.parameters()
+
+    def update(self) -> None:
+        """Move the average; LeRobot calls this after each optimiser step."""
+        self.average.update_parameters(self.model)
+
+    def reset(self) -> None:
+        """Forget past observations and actions still to be executed."""
+        observed = {key: deque(maxlen=self.config.n_obs_steps) for key in (OBS_STATE, self.config.cloud_key)}
+        self._queues = {**observed, ACTION: deque(maxlen=self.config.n_action_steps)}
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None) -> Tensor:
+        """(B, n_action_steps, n) normalised actions from the last observations, or from a batch of windows.
+
+        Args:
+            batch: normalised observations; used only where `select_action` has not collected any.
+            noise: (B, horizon, n) what the diffusion starts from; random if None.
+        """
+        if all(self._queues[key] for key in (OBS_STATE, self.config.cloud_key)):
+            batch = {key: torch.stack(list(queue), dim=1) for key, queue in self._queues.items() if key != ACTION}
+        return self._acting.generate_actions(batch, noise=noise)
+
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None) -> Tensor:
+        """(B, n) the next normalised action, for one normalised observation each, (B, ...)."""
+        batch = {key: value for key, value in batch.items() if key != ACTION}
+        self._queues = populate_queues(self._queues, batch)
+        if not self._queues[ACTION]:
+            self._queues[ACTION].extend(self.predict_action_chunk(batch, noise).transpose(0, 1))
+        return self._queues[ACTION].popleft()
+
+    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, None]:
+        """The loss of a batch of windows; nothing else to log."""
+        return self.model.compute_loss(batch), None
+
+    @property
+    def _acting(self) -> "DP3Model":
+        return cast(DP3Model, self.average.module) if self.average.n_averaged else self.model
+
+
+class DP3Model(DiffusionModel):
+    """Denoises actions given the encoded observations; sampling is LeRobot's."""
+
+    def __init__(self, config: DP3Config) -> None:
+        nn.Module.__init__(self)  # LeRobot's own would build an encoder of pictures
+        assert config.robot_state_feature is not None and config.cloud_channels is not None
+        self.config = config
+        self.obs_encoder = ObservationEncoder(
+            6 if config.use_colours else 3,
+            config.cloud_channels,
+            config.cloud_features,
+            config.robot_state_feature.shape[0],
+            config.state_channels,
+        )
+        self.unet = DiffusionConditionalUnet1d(cast(Any, config), self.obs_encoder.out_features * config.n_obs_steps)
+        self.noise_scheduler = DDIMScheduler(
+            num_train_timesteps=config.num_train_timesteps,
+            beta_schedule=config.beta_schedule,
+            clip_sample=True,
+            clip_sample_range=config.clip_sample_range,
+            prediction_type=config.prediction_type,
+        )
+        self.num_inference_steps = config.num_inference_steps
+
+    def compute_loss(self, batch: dict[str, Tensor]) -> Tensor:
+        """Mean squared error of the denoised actions, or of the noise.
+
+        Args:
+            batch: state (B, n_obs_steps, n), cloud (B, n_obs_steps, N, C), actions (B, horizon, n), all normalised.
+        """
+        condition, actions = self._prepare_global_conditioning(batch), batch[ACTION]
+        noise = torch.randn_like(actions)
+        steps = torch.randint(0, self.config.num_train_timesteps, (len(actions),), device=actions.device)
+        noisy = self.noise_scheduler.add_noise(actions, noise, cast(Any, steps))
+        predicted = self.unet(noisy, steps, global_cond=condition)
+        return F.mse_loss(predicted, actions if self.config.prediction_type == "sample" else noise)
+
+    def _prepare_global_conditioning(self, batch: dict[str, Tensor]) -> Tensor:
+        """(B, n_obs_steps * features)."""
+        state, cloud = batch[OBS_STATE], batch[self.config.cloud_key]
+        cloud = cloud[..., : self.config.points, : 6 if self.config.use_colours else 3]
+        return self.obs_encoder(cloud.flatten(0, 1), state.flatten(0, 1)).reshape(len(state), -1)
