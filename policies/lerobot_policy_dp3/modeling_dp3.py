@@ -67,7 +67,10 @@ class DP3Policy(PreTrainedPolicy):
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, None]:
         """The loss of a batch of windows; nothing else to log."""
-        return self.model.compute_loss(batch), None
+        # Noise of its own for each step: LeRobot's data loader draws from the global generator too, but not when it resumes.
+        random = torch.Generator(batch[ACTION].device)
+        random.manual_seed((torch.initial_seed() + int(self.average.n_averaged)) % 2**63)
+        return self.model.compute_loss(batch, random), None
 
     @property
     def _acting(self) -> "DP3Model":
@@ -98,15 +101,17 @@ class DP3Model(DiffusionModel):
         )
         self.num_inference_steps = config.num_inference_steps
 
-    def compute_loss(self, batch: dict[str, Tensor]) -> Tensor:
+    def compute_loss(self, batch: dict[str, Tensor], random: torch.Generator | None = None) -> Tensor:
         """Mean squared error of the denoised actions, or of the noise.
 
         Args:
             batch: state (B, n_obs_steps, n), cloud (B, n_obs_steps, N, C), actions (B, horizon, n), all normalised.
+            random: of the noise; the global generator if None.
         """
         condition, actions = self._prepare_global_conditioning(batch), batch[ACTION]
-        noise = torch.randn_like(actions)
-        steps = torch.randint(0, self.config.num_train_timesteps, (len(actions),), device=actions.device)
+        noise = torch.randn(actions.shape, generator=random, device=actions.device, dtype=actions.dtype)
+        most = self.config.num_train_timesteps
+        steps = torch.randint(0, most, (len(actions),), generator=random, device=actions.device)
         noisy = self.noise_scheduler.add_noise(actions, noise, cast(Any, steps))
         predicted = self.unet(noisy, steps, global_cond=condition)
         return F.mse_loss(predicted, actions if self.config.prediction_type == "sample" else noise)

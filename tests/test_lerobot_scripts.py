@@ -1,0 +1,103 @@
+"""Through `lerobot-train` and `lerobot-eval` themselves, on a small converted dataset."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+TARGET = "PickCube-UR5e-FourierRight"
+DP3 = ("--policy.type=dp3", "--policy.down_dims=[16,32]", "--policy.points=64", "--policy.scheduler_warmup_steps=2")
+
+
+def run(script: str, *options: str, cwd: Path) -> str:
+    done = subprocess.run(
+        [Path(sys.executable).with_name(script), *options],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        env=dict(os.environ) | {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("policy")
+    source = ("--env=CEI-PickCube-Panda-PandaGripper", "--episodes=2", "--seed=0", "--repo_id=me/panda", "--root=panda")
+    run("cei-record", *source, cwd=folder)
+    moved = ("--dataset.repo_id=me/panda", "--dataset.root=panda", "--target=UR5e-FourierRight")
+    run("cei-convert", *moved, "--new_repo_id=me/ur5e", "--new_root=ur5e", cwd=folder)
+    return folder
+
+
+def train(folder: Path, output: str, *options: str) -> dict[str, torch.Tensor]:
+    data = ("--dataset.repo_id=me/ur5e", "--dataset.root=ur5e", "--dataset.video_backend=pyav", "--num_workers=0")
+    rest = (
+        "--policy.device=cpu",
+        "--policy.push_to_hub=false",
+        "--batch_size=4",
+        "--log_freq=1",
+        f"--output_dir={output}",
+    )
+    run("lerobot-train", *data, *rest, *options, cwd=folder)
+    return weights(folder, output)
+
+
+def weights(folder: Path, output: str) -> dict[str, torch.Tensor]:
+    return load_file(folder / output / "checkpoints/last/pretrained_model/model.safetensors")
+
+
+def test_dp3_trains_resumes_exactly_and_is_evaluated(folder: Path) -> None:
+    whole = train(folder, "whole", *DP3, "--steps=4", "--save_freq=2")
+    assert (folder / "whole/checkpoints/000002").exists()
+    # As if the training had been stopped after two steps.
+    half = folder / "whole/checkpoints/last"
+    half.unlink()
+    half.symlink_to("000002")
+    config = "--config_path=whole/checkpoints/last/pretrained_model/train_config.json"
+    run("lerobot-train", config, "--resume=true", cwd=folder)
+    resumed = weights(folder, "whole")
+    assert {"average.n_averaged", "average.module.unet.final_conv.1.bias"} <= set(whole)
+    assert int(resumed["average.n_averaged"]) == 4
+    for name, value in whole.items():
+        torch.testing.assert_close(resumed[name], value, rtol=0, atol=0, msg=name)
+
+    evaluation = ("--env.type=cei", f"--env.task={TARGET}", "--env.episode_length=10", "--eval.use_async_envs=true")
+    count = ("--eval.n_episodes=2", "--eval.batch_size=2", "--seed=1000", "--output_dir=eval", "--policy.device=cpu")
+    run("lerobot-eval", "--policy.path=whole/checkpoints/last/pretrained_model", *evaluation, *count, cwd=folder)
+    overall = json.loads((folder / "eval/eval_info.json").read_text())["overall"]
+    assert overall["n_episodes"] == 2
+    assert all(Path(folder, path).stat().st_size > 1000 for path in overall["video_paths"])
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        ("--policy.type=act", "--policy.dim_model=32", "--policy.dim_feedforward=32", "--policy.n_encoder_layers=1"),
+        ("--policy.type=diffusion", "--policy.down_dims=[16,32]", "--policy.horizon=16", "--policy.n_action_steps=8"),
+    ],
+    ids=["act", "diffusion"],
+)
+def test_lerobots_own_policies_train_on_states(folder: Path, policy: tuple[str, ...]) -> None:
+    trained = train(folder, policy[0].removeprefix("--policy.type="), *policy, "--steps=2", "--save_freq=2")
+    assert all(torch.isfinite(value).all() for value in trained.values())
+
+
+def test_an_unknown_task_of_an_environment_is_one_clear_line(folder: Path) -> None:
+    options = ("--env.type=cei", "--env.task=PickCube-UR5e-FourierRigth", "--policy.type=dp3")
+    done = subprocess.run(
+        [Path(sys.executable).with_name("lerobot-eval"), *options],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode != 0
+    assert "PickCube-UR5e-FourierRight" in done.stderr
