@@ -18,7 +18,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import fpsample
 import gymnasium as gym
 import mujoco
 import numpy as np
@@ -132,7 +131,11 @@ def measure(env: gym.Env, view: str, width: int, height: int, repeats: int) -> l
         return np.einsum("nij,nj->ni", poses[:, :3, :3], sampler.points_link) + poses[:, :3, 3]
 
     def obvious_thin(some: np.ndarray) -> np.ndarray:
-        return some[fpsample.fps_sampling(some, 1024, start_idx=0)]
+        chosen, gap = [0], np.full(len(some), np.inf)
+        while len(chosen) < 1024:
+            gap = np.minimum(gap, np.square(some - some[chosen[-1]]).sum(axis=1))
+            chosen.append(int(gap.argmax()))
+        return some[chosen]
 
     def whole(by: CloudSynthesiser) -> np.ndarray:
         return by.add(by.remove(fuse_depth(scene, {camera.name: depth_m}), scene, qpos), scene, qpos)
@@ -210,7 +213,7 @@ def main() -> None:
         "repeats": args.repeats,
         "rows": rows,
         "control_period_ms": periods,
-        "versions": versions(("cei-gym", "numpy", "numba", "fpsample", "mujoco", "robosuite")),
+        "versions": versions(("cei-gym", "numpy", "numba", "mujoco", "robosuite")),
         "commit": git_commit(),
     }
     args.results.mkdir(parents=True, exist_ok=True)

@@ -138,6 +138,20 @@ def test_thinning_is_greedy(seed, count, n):
         gap = np.minimum(gap, np.linalg.norm(points - chosen, axis=1))
 
 
+@pytest.mark.parametrize("count", [65, 128, 129, 5000])
+def test_thinning_is_the_brute_force_one_to_the_bit(count):
+    points = np.random.default_rng(count).normal(size=(count, 3)).astype(np.float32)
+    points[count // 2] = points[0]  # a point twice
+    thinned = farthest_point_sample(points, 64)
+    chosen, gap = [int(np.flatnonzero((points == thinned[0]).all(axis=1))[0])], np.full(count, np.inf, np.float32)
+    for _ in range(63):
+        difference = points - points[chosen[-1]]
+        square = difference[:, 0] ** 2 + difference[:, 1] ** 2 + difference[:, 2] ** 2
+        gap = np.minimum(gap, square)
+        chosen.append(int(gap.argmax()))
+    np.testing.assert_array_equal(thinned, points[chosen])
+
+
 def test_thinning_spends_its_seed_and_survives_repeated_points():
     points = np.random.default_rng(0).normal(size=(500, 3))
     assert not np.array_equal(farthest_point_sample(points, 10, 0), farthest_point_sample(points, 10, 1))

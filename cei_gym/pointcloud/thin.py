@@ -1,12 +1,11 @@
 """A fixed number of well-spread points (the paper's policies see clouds of 1024)."""
 
-import fpsample
 import numpy as np
 from numba import njit
 
 from cei_gym.errors import CEIError
 
-_LARGE = 6000  # from here a higher tree is quicker, by about a tenth
+_BLOCK = 128
 
 
 def farthest_point_sample(points: np.ndarray, n: int = 1024, seed: int = 0) -> np.ndarray:
@@ -32,10 +31,11 @@ def farthest_point_sample(points: np.ndarray, n: int = 1024, seed: int = 0) -> n
     if len(points) <= n:
         return np.concatenate([points, points[random.integers(len(points), size=n - len(points))]])
     start = int(random.integers(len(points)))
-    height = min(
-        5 if len(points) > _LARGE else 4, len(points).bit_length() - 1
-    )  # a tree has no more buckets than points
-    return points[fpsample.bucket_fps_kdline_sampling(points[:, :3], n, h=height, start_idx=start)]
+    # Whole blocks: what fills them up lies on the first point chosen, so it is never farthest.
+    axes = np.empty((3, -(-len(points) // _BLOCK) * _BLOCK), dtype=np.float32)
+    axes[:, : len(points)] = points[:, :3].T
+    axes[:, len(points) :] = points[start, :3, None]
+    return points[_farthest(*axes, n, start)]
 
 
 def first_of_voxels(points: np.ndarray, voxel_m: float) -> np.ndarray:
@@ -47,6 +47,38 @@ def first_of_voxels(points: np.ndarray, voxel_m: float) -> np.ndarray:
     """
     slots = np.full(1 << (2 * len(points)).bit_length(), -1)
     return np.flatnonzero(_is_first(np.floor(points[:, :3] / voxel_m).astype(np.int64), slots))
+
+
+@njit(cache=True, nogil=True)
+def _farthest(x, y, z, n, start):
+    """(n,) indices, each of the point farthest from those before it; the lowest where several are.
+
+    Looks at all points n times, but eight to sixteen at a time, which beats trees (fpsample's) up to some 30,000 points.
+    """
+    gap = np.full(len(x), np.float32(np.inf))
+    # Squares are not negative, so as integers their bits are in the same order; the largest of those vectorises, of floats it does not.
+    blocks = gap.view(np.int32).reshape(-1, _BLOCK)
+    chosen, point = np.empty(n, np.int64), start
+    for k in range(n):
+        chosen[k] = point
+        px, py, pz = x[point], y[point], z[point]
+        for i in range(len(x)):
+            dx, dy, dz = x[i] - px, y[i] - py, z[i] - pz
+            square = dx * dx + dy * dy + dz * dz
+            last = gap[i]
+            gap[i] = square if square < last else last
+        largest, at = np.int32(-1), 0
+        for block in range(len(blocks)):
+            most = np.int32(-1)
+            for i in range(_BLOCK):
+                most = max(most, blocks[block, i])
+            if most > largest:
+                largest, at = most, block
+        for i in range(_BLOCK):
+            if blocks[at, i] == largest:
+                point = at * _BLOCK + i
+                break
+    return chosen
 
 
 @njit(cache=True, nogil=True)

@@ -14,10 +14,12 @@ def main() -> None:
     import cei_converters
     import cei_envs
     import cei_gym
+    import lerobot_env_cei
+    import lerobot_policy_dp3
     from cei_gym.embodiment import embodiment_names, load_embodiment
 
     site = Path(sys.prefix).resolve()
-    for package in (cei_gym, cei_converters, cei_envs):
+    for package in (cei_gym, cei_converters, cei_envs, lerobot_env_cei, lerobot_policy_dp3):
         location = Path(package.__file__).resolve()
         assert location.is_relative_to(site), f"{package.__name__} comes from {location}, not from its wheel"
     print(f"imports: cei-gym {distribution('cei-gym').version}")
@@ -41,6 +43,14 @@ def main() -> None:
         assert done.returncode == 0, f"{command} --help exits {done.returncode}: {done.stderr}"
         assert "usage" in done.stdout.lower(), f"{command} --help prints no usage"
         print(f"{command} --help: works")
+
+    # LeRobot's scripts find both plugins by themselves.
+    for script, wanted in (("lerobot-train", "--policy.type=dp3"), ("lerobot-eval", "--env.type=cei")):
+        done = subprocess.run(
+            [Path(sys.executable).with_name(script), wanted, "--help"], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{script} {wanted} --help exits {done.returncode}: {done.stderr}"
+        print(f"{script} {wanted}: found")
 
 
 if __name__ == "__main__":
