@@ -35,7 +35,7 @@ def farthest_point_sample(points: np.ndarray, n: int = 1024, seed: int = 0) -> n
     axes = np.empty((3, -(-len(points) // _BLOCK) * _BLOCK), dtype=np.float32)
     axes[:, : len(points)] = points[:, :3].T
     axes[:, len(points) :] = points[start, :3, None]
-    return points[_farthest(*axes, n, start)]
+    return points[_farthest(axes[0], axes[1], axes[2], n, start)]
 
 
 def first_of_voxels(points: np.ndarray, voxel_m: float) -> np.ndarray:
