@@ -2,11 +2,14 @@
 
 import sys
 
-from cei_converters.benchmark import replay
+from cei_converters.benchmark import policy, replay
 from cei_converters.cli import EXIT_OK, EXIT_USAGE
 from cei_gym.errors import unknown
 
-BENCHMARKS = {"replay": (replay.main, "how often transferred demonstrations succeed, beside the paper's figures")}
+BENCHMARKS = {
+    "policy": (policy.main, "how often policies trained on them succeed"),
+    "replay": (replay.main, "how often transferred demonstrations succeed, beside the paper's figures"),
+}
 """Name to entry point, and what it measures."""
 
 

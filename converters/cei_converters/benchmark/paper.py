@@ -35,3 +35,23 @@ ABLATION = {
 SENSITIVITY_TASK, SENSITIVITY_END_EFFECTOR = "PickCube", "FourierRight"
 SENSITIVITY = {"standard": 85, "reduced": 90, "randomly dropped": 80}
 """Its sensitivity to the representation: 17, 18 and 16 of 20. It does not name the arm."""
+
+POLICY_TARGETS = ABLATION_TARGETS
+POLICY = {
+    "OpenDrawer": {
+        "no_augmentation": (0, 0, 0, 0),
+        "no_inference_augmentation": (100, 79, 32, 64),
+        "cei": (100, 90, 100, 90),
+    },
+    "PickCube": {
+        "no_augmentation": (0, 0, 0, 0),
+        "no_inference_augmentation": (42, 26, 38, 10),
+        "cei": (79, 68, 68, 23),
+    },
+    "StackCube": {
+        "no_augmentation": (0, 0, 0, 0),
+        "no_inference_augmentation": (36, 10, 44, 0),
+        "cei": (55, 16, 52, 0),
+    },
+}
+"""Its table of policies: task, variant, one figure a target."""

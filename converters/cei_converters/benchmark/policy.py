@@ -1,0 +1,143 @@
+"""`cei-benchmark policy`: how often policies trained on converted demonstrations succeed, beside the paper's figures."""
+
+import json
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from cei_converters.benchmark import paper
+from cei_converters.benchmark.policy_stages import BLIND, VARIANTS, PolicyCell, Stages, Training
+from cei_converters.cli import run
+from cei_converters.result import write_json
+from cei_gym.errors import CEIError, one_line, unknown
+
+EXAMPLE = """example:
+  cei-benchmark policy --tasks=PickCube --targets=IIWA-Inspire,UR5e-FourierRight
+  cei-benchmark policy --stage=train --training.device=cuda --training.size=paper   # elsewhere; bring --work back
+  cei-benchmark policy --stage=evaluate"""
+STAGES = ("all", "train", "evaluate")
+
+
+@dataclass
+class PolicyBenchmarkConfig:
+    """Success of trained policies, beside the paper's; finished cells, datasets and trainings are kept, so it resumes."""
+
+    tasks: str | None = None  # Such as PickCube,StackCube; default: all.
+    targets: str | None = None  # Such as IIWA-Inspire,UR5e-FourierRight; default: the paper's four.
+    variants: str | None = None  # Such as cei,no_augmentation; default: all, and the blind controls.
+    training_seeds: int = 1  # Trainings of each policy, with seeds 0, 1, ...
+    demonstrations: int = 50  # To train on, from seed 0 (development).
+    episodes: int = 20  # Trials.
+    seed: int = 1000  # Of the first one; development uses 0 to 999.
+    training: Training = field(default_factory=Training)
+    stage: str = "all"  # train stops before evaluation; evaluate trains nothing.
+    jobs: int | None = None  # Cells at a time; default: one a core, or one with a GPU.
+    results: str = "results/policy"  # Folder for a JSON a cell, the table and plots.
+    work: str = "outputs/policy-benchmark"  # Folder for datasets and trainings.
+    redraw: bool = False  # Run nothing: table and plots of the cells that are finished.
+
+
+def policy_benchmark(config: PolicyBenchmarkConfig) -> None:
+    """Run the cells that are not finished; write and print the table.
+
+    Raises:
+        CEIError: bad options, cells of other settings in the way, or some cell failed (the others are kept).
+    """
+    if config.stage not in STAGES:
+        raise unknown("--stage", config.stage, STAGES)
+    for name in ("episodes", "demonstrations", "training_seeds"):
+        if getattr(config, name) < 1:
+            raise CEIError(f"--{name}={getattr(config, name)}: at least 1.")
+    stages = Stages(
+        Path(config.work), config.demonstrations, range(config.seed, config.seed + config.episodes), config.training
+    )
+    cells, folder, errors = list(_cells(config)), Path(config.results), []
+    found = {cell: result for cell in cells if (result := _read(folder, cell, stages)) is not None}
+    if not config.redraw:
+        folder.mkdir(parents=True, exist_ok=True)
+        todo = [cell for cell in cells if cell not in found]
+        errors = _run(todo, stages, config)
+        found = {cell: result for cell in cells if (result := _read(folder, cell, stages)) is not None}
+    if found:
+        from cei_converters.benchmark.policy_report import write_report
+
+        print(write_report(found, stages, folder))
+    elif config.stage != "train":
+        errors.append(f"no cell is finished in {folder}.")
+    if errors:
+        raise CEIError(" ".join(errors) + " The same command goes on.")
+
+
+def _cells(config: PolicyBenchmarkConfig) -> Iterator[PolicyCell]:
+    tasks = _names("task", config.tasks, tuple(paper.POLICY))
+    targets = _names("target", config.targets, paper.POLICY_TARGETS)
+    for task in tasks:
+        for target in targets:
+            for variant in _names("variant", config.variants, tuple(VARIANTS)):
+                for seed in range(1 if variant in BLIND else config.training_seeds):
+                    yield PolicyCell(task, target, variant, seed)
+
+
+def _names(kind: str, text: str | None, valid: tuple[str, ...]) -> list[str]:
+    names = list(valid) if text is None else [name.strip() for name in text.strip("[] ").split(",")]
+    for name in names:
+        if name not in valid:
+            raise unknown(kind, name, valid)
+    return names
+
+
+def _read(folder: Path, cell: PolicyCell, stages: Stages) -> dict[str, Any] | None:
+    path = folder / f"{cell.name}.json"
+    try:
+        found = json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise CEIError(f"{path} cannot be read ({one_line(error)}); remove it.") from error
+    for key, ours in stages.settings(cell).items():
+        if found.get(key) != ours:
+            raise CEIError(
+                f"{path} was made with other settings ({key}: {found.get(key)}, here {ours}); choose another --results."
+            )
+    return found
+
+
+def _run(cells: list[PolicyCell], stages: Stages, config: PolicyBenchmarkConfig) -> list[str]:
+    """Run cells and keep their results; returns what went wrong, one line each."""
+    from cei_converters.progress import progress_bar
+    from cei_converters.provenance import PACKAGES, git_commit, versions
+
+    made_by = {"commit": git_commit(), "versions": versions((*PACKAGES, "lerobot_policy_dp3"))}
+    workers = config.jobs or (1 if config.training.device != "cpu" else os.cpu_count() or 1)
+    errors = []
+
+    def one(cell: PolicyCell) -> tuple[PolicyCell, dict[str, Any] | None, str | None]:
+        try:
+            stages.prepare(cell, train=config.stage != "evaluate")
+            return cell, None if config.stage == "train" else stages.evaluate(cell), None
+        except CEIError as error:
+            return cell, None, one_line(error)
+
+    with progress_bar("cells") as progress, ThreadPoolExecutor(workers) as pool:
+        bar = progress.add_task("training and evaluating", total=len(cells))
+        for cell, result, error in pool.map(one, cells):
+            if error is not None:
+                errors.append(f"{cell.name}: {error}")
+            elif result is not None:
+                date = {"date": datetime.now(UTC).isoformat(timespec="seconds")}
+                write_json(
+                    str(Path(config.results) / f"{cell.name}.json"), stages.settings(cell) | result | made_by | date
+                )
+                line = f"{cell.name}: {sum(result['successes'])} of {len(result['successes'])}"
+                progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
+            progress.advance(bar)
+    return errors
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `cei-benchmark policy`."""
+    return run(PolicyBenchmarkConfig, policy_benchmark, args, prog="cei-benchmark policy", example=EXAMPLE)
