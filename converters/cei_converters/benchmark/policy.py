@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cei_converters.benchmark import paper
-from cei_converters.benchmark.policy_stages import BLIND, VARIANTS, PolicyCell, Stages, Training
+from cei_converters.benchmark.policy_stages import BLIND, VARIANTS, PolicyCell, Stages, Training, Trials
 from cei_converters.cli import run
 from cei_converters.result import write_json
 from cei_gym.errors import CEIError, one_line, unknown
@@ -33,6 +33,7 @@ class PolicyBenchmarkConfig:
     demonstrations: int = 50  # To train on, from seed 0 (development).
     episodes: int = 20  # Trials.
     seed: int = 1000  # Of the first one; development uses 0 to 999.
+    episode_length: int = 400  # Most steps of a trial.
     training: Training = field(default_factory=Training)
     stage: str = "all"  # train stops before evaluation; evaluate trains nothing.
     jobs: int | None = None  # Cells at a time; default: one a core, or one with a GPU.
@@ -49,12 +50,11 @@ def policy_benchmark(config: PolicyBenchmarkConfig) -> None:
     """
     if config.stage not in STAGES:
         raise unknown("--stage", config.stage, STAGES)
-    for name in ("episodes", "demonstrations", "training_seeds"):
+    for name in ("episodes", "episode_length", "demonstrations", "training_seeds"):
         if getattr(config, name) < 1:
             raise CEIError(f"--{name}={getattr(config, name)}: at least 1.")
-    stages = Stages(
-        Path(config.work), config.demonstrations, range(config.seed, config.seed + config.episodes), config.training
-    )
+    trials = Trials(config.seed, config.episodes, config.episode_length)
+    stages = Stages(Path(config.work), config.demonstrations, trials, config.training)
     cells, folder, errors = list(_cells(config)), Path(config.results), []
     found = {cell: result for cell in cells if (result := _read(folder, cell, stages)) is not None}
     if not config.redraw:

@@ -45,6 +45,20 @@ class Training:
 
 
 @dataclass(frozen=True)
+class Trials:
+    """What policies are evaluated on: `count` episodes of seeds from `first_seed` on, of at most `length` steps."""
+
+    first_seed: int
+    count: int
+    length: int
+
+    @property
+    def seeds(self) -> range:
+        """One an episode."""
+        return range(self.first_seed, self.first_seed + self.count)
+
+
+@dataclass(frozen=True)
 class PolicyCell:
     """One policy of one task and target, trained with one seed, evaluated in one way."""
 
@@ -70,18 +84,18 @@ class Stages:
     Args:
         work: holds datasets and trainings.
         demonstrations: to train on, of seeds from 0.
-        trials: seeds of the evaluation.
+        trials: of the evaluation.
         training: options.
     """
 
-    def __init__(self, work: Path, demonstrations: int, trials: range, training: Training) -> None:
+    def __init__(self, work: Path, demonstrations: int, trials: Trials, training: Training) -> None:
         self._work, self._demonstrations, self._trials, self._training = work, demonstrations, trials, training
         self._locks: dict[Path, Lock] = defaultdict(Lock)  # what two cells need is made once
         self._guard = Lock()
 
     def settings(self, cell: PolicyCell) -> dict[str, Any]:
         """What a finished cell must have been made with to count."""
-        shared = {**asdict(cell), "demonstrations": self._demonstrations, "trials": [self._trials[0], self._trials[-1]]}
+        shared = {**asdict(cell), "demonstrations": self._demonstrations, "trials": asdict(self._trials)}
         if cell.variant in BLIND:
             return shared
         training = asdict(self._training) | {"cloud_channels": list(self._training.cloud_channels)}
@@ -128,9 +142,10 @@ class Stages:
             "--env.type=cei",
             f"--env.task={cell.task}-{cell.target}",
             f"--env.augment={str(cell.variant == 'cei').lower()}",
-            f"--eval.n_episodes={len(self._trials)}",
+            f"--env.episode_length={self._trials.length}",
+            f"--eval.n_episodes={self._trials.count}",
             "--eval.batch_size=1",
-            f"--seed={self._trials[0]}",
+            f"--seed={self._trials.first_seed}",
             f"--output_dir={output}",
         )
         info = json.loads((output / "eval_info.json").read_text())
@@ -181,9 +196,9 @@ class Stages:
             first = np.mean([demonstrations.read(i).action.mean(axis=0) for i in range(self._demonstrations)], axis=0)[
                 None
             ]
-        env = gym.make(f"CEI-{cell.task}-{cell.target}", clouds=False)
+        env = gym.make(f"CEI-{cell.task}-{cell.target}", clouds=False, max_episode_steps=self._trials.length)
         successes = []
-        for seed in self._trials:
+        for seed in self._trials.seeds:
             env.reset(seed=seed)
             t, over, success = 0, False, False
             while not over:

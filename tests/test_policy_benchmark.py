@@ -1,0 +1,87 @@
+"""`cei-benchmark policy` through the real command, on next to nothing."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cei_converters.benchmark import command, paper
+from cei_converters.benchmark.policy_stages import VARIANTS
+
+PAPER = Path(__file__).parents[2] / "shared/paper/policy_success.csv"
+CELL = "PickCube-UR5e-FourierRight"
+SMOKE = ["policy", "--tasks=PickCube", "--targets=UR5e-FourierRight", "--demonstrations=2", "--episodes=1", "--seed=3"]
+SMALL = ["--episode_length=6", "--training.steps=2", "--training.batch_size=4", "--training.points=32"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("benchmark")
+    places = [f"--results={folder / 'results'}", f"--work={folder / 'work'}"]
+    assert command.main([*SMOKE, *SMALL, *places, "--stage=evaluate", "--variants=cei"]) != 0  # nothing is trained yet
+    assert command.main([*SMOKE, *SMALL, *places, "--stage=train", "--variants=cei"]) == 0
+    assert not list((folder / "results").glob("*.json"))
+    assert command.main([*SMOKE, *SMALL, *places]) == 0
+    return folder
+
+
+def test_every_variant_becomes_a_cell_and_trainings_are_shared(folder: Path) -> None:
+    for variant in VARIANTS:
+        name = f"{CELL}-{variant}" + ("" if variant in ("mean_action", "one_demonstration") else "-0")
+        result = json.loads((folder / "results" / f"{name}.json").read_text())
+        assert result["successes"] == [False]
+        assert result["trials"] == {"first_seed": 3, "count": 1, "length": 6}
+        assert result["commit"]
+    assert sorted(path.name for path in (folder / "work/trained").iterdir() if path.is_dir()) == [
+        f"{CELL}-as_recorded-0",
+        f"{CELL}-swapped-0",
+    ]
+    said = {
+        kind: (folder / f"work/datasets/{CELL}-{kind}/README.md").read_text() for kind in ("swapped", "as_recorded")
+    }
+    assert "still show the source robot" in said["as_recorded"]
+    assert "still show the source robot" not in said["swapped"]
+    clouds = [
+        np.asarray(
+            json.loads((folder / f"work/datasets/{CELL}-{kind}/meta/stats.json").read_text())[
+                "observation.point_cloud"
+            ]["mean"]
+        )
+        for kind in ("swapped", "as_recorded")
+    ]
+    assert not np.allclose(*clouds, atol=1e-4)
+
+
+def test_the_report_stands_beside_the_papers_figures(folder: Path) -> None:
+    rows = list(csv.DictReader((folder / "results/policy.csv").open()))
+    assert [row["variant"] for row in rows] == list(VARIANTS)
+    assert next(row for row in rows if row["variant"] == "cei")["paper_percent"] == "79"
+    assert "| PickCube | CEI | 0 / 79 |" in (folder / "results/policy.md").read_text()
+    for picture in ("success.png", "learning.png"):
+        assert np.asarray(Image.open(folder / "results" / picture)).std() > 5
+
+
+def test_finished_cells_are_kept_and_other_settings_refused(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    places = [f"--results={folder / 'results'}", f"--work={folder / 'work'}"]
+    before = {path: path.stat().st_mtime_ns for path in (folder / "results").glob("*.json")}
+    assert command.main([*SMOKE, *SMALL, *places]) == 0
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    capsys.readouterr()
+    assert command.main([*SMOKE, *SMALL, *places, "--training.lr=0.5"]) != 0
+    assert "other settings (training" in capsys.readouterr().err
+    assert command.main([*SMOKE, *places, "--variants=best"]) != 0
+    assert "no_inference_augmentation" in capsys.readouterr().err
+
+
+def test_the_papers_figures_are_the_papers() -> None:
+    names = {
+        "No augmentation": "no_augmentation",
+        "CEI without inference augmentation": "no_inference_augmentation",
+        "CEI": "cei",
+    }
+    for row in csv.DictReader(PAPER.open()):
+        figures = [int(value) for key, value in row.items() if key not in ("task", "method", "average")]
+        assert paper.POLICY[row["task"]][names[row["method"]]] == tuple(figures)
