@@ -1,6 +1,5 @@
 """`cei-benchmark policy`: how often policies trained on converted demonstrations succeed, beside the paper's figures."""
 
-import json
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +10,7 @@ from typing import Any
 
 from cei_converters.benchmark import paper
 from cei_converters.benchmark.policy_stages import BLIND, VARIANTS, PolicyCell, Stages, Training, Trials
+from cei_converters.benchmark.results import read_cell
 from cei_converters.cli import run
 from cei_converters.result import write_json
 from cei_gym.errors import CEIError, one_line, unknown
@@ -56,12 +56,20 @@ def policy_benchmark(config: PolicyBenchmarkConfig) -> None:
     trials = Trials(config.seed, config.episodes, config.episode_length)
     stages = Stages(Path(config.work), config.demonstrations, trials, config.training)
     cells, folder, errors = list(_cells(config)), Path(config.results), []
-    found = {cell: result for cell in cells if (result := _read(folder, cell, stages)) is not None}
+    found = {
+        cell: result
+        for cell in cells
+        if (result := read_cell(folder / f"{cell.name}.json", stages.settings(cell))) is not None
+    }
     if not config.redraw:
         folder.mkdir(parents=True, exist_ok=True)
         todo = [cell for cell in cells if cell not in found]
         errors = _run(todo, stages, config)
-        found = {cell: result for cell in cells if (result := _read(folder, cell, stages)) is not None}
+        found = {
+            cell: result
+            for cell in cells
+            if (result := read_cell(folder / f"{cell.name}.json", stages.settings(cell))) is not None
+        }
     if found:
         from cei_converters.benchmark.policy_report import write_report
 
@@ -82,28 +90,17 @@ def _cells(config: PolicyBenchmarkConfig) -> Iterator[PolicyCell]:
                     yield PolicyCell(task, target, variant, seed)
 
 
+def _finished(cells: list[PolicyCell], stages: Stages, folder: Path) -> dict[PolicyCell, dict[str, Any]]:
+    found = {cell: read_cell(folder / f"{cell.name}.json", stages.settings(cell)) for cell in cells}
+    return {cell: result for cell, result in found.items() if result is not None}
+
+
 def _names(kind: str, text: str | None, valid: tuple[str, ...]) -> list[str]:
     names = list(valid) if text is None else [name.strip() for name in text.strip("[] ").split(",")]
     for name in names:
         if name not in valid:
             raise unknown(kind, name, valid)
     return names
-
-
-def _read(folder: Path, cell: PolicyCell, stages: Stages) -> dict[str, Any] | None:
-    path = folder / f"{cell.name}.json"
-    try:
-        found = json.loads(path.read_text())
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        raise CEIError(f"{path} cannot be read ({one_line(error)}); remove it.") from error
-    for key, ours in stages.settings(cell).items():
-        if found.get(key) != ours:
-            raise CEIError(
-                f"{path} was made with other settings ({key}: {found.get(key)}, here {ours}); choose another --results."
-            )
-    return found
 
 
 def _run(cells: list[PolicyCell], stages: Stages, config: PolicyBenchmarkConfig) -> list[str]:

@@ -1,6 +1,7 @@
 """The folder of finished cells, one JSON each, all made from the same demonstrations."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,21 +39,7 @@ class Results:
         Raises:
             CEIError: it was made with other settings, or cannot be read.
         """
-        path = self.path(cell)
-        try:
-            found = json.loads(path.read_text())
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError) as error:
-            raise CEIError(f"{path} cannot be read ({one_line(error)}); remove it.") from error
-        for key, ours in self.settings(cell).items():
-            theirs = found.get(key) if isinstance(found, dict) else None
-            if theirs != ours:
-                raise CEIError(
-                    f"{path} was made with other settings ({key}: {theirs}, here {ours}); "
-                    "remove it or choose another folder with --results."
-                )
-        return found
+        return read_cell(self.path(cell), self.settings(cell))
 
     def read_all(self) -> dict[Cell, dict[str, Any]]:
         """All finished cells.
@@ -66,3 +53,25 @@ class Results:
     def write(self, cell: Cell, result: dict[str, Any]) -> None:
         """Keep a cell, in one go."""
         write_json(str(self.path(cell)), self.settings(cell) | result)
+
+
+def read_cell(path: Path, settings: Mapping[str, Any]) -> dict[str, Any] | None:
+    """A finished cell's file; None if there is none.
+
+    Raises:
+        CEIError: it was made with other settings, or cannot be read.
+    """
+    try:
+        found = json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise CEIError(f"{path} cannot be read ({one_line(error)}); remove it.") from error
+    for key, ours in settings.items():
+        theirs = found.get(key) if isinstance(found, dict) else None
+        if theirs != ours:
+            raise CEIError(
+                f"{path} was made with other settings ({key}: {theirs}, here {ours}); "
+                "remove it or choose another folder with --results."
+            )
+    return found
