@@ -168,7 +168,9 @@ def test_bad_input_is_one_clear_line(folder: Path, option: str, message: str, ca
 
 def test_an_unknown_benchmark_lists_the_valid_ones(capsys: pytest.CaptureFixture) -> None:
     assert command.main(["polcy"]) == 2
-    assert capsys.readouterr().err == "error: unknown benchmark 'polcy'. Did you mean 'policy'? Valid: policy, replay.\n"
+    assert (
+        capsys.readouterr().err == "error: unknown benchmark 'polcy'. Did you mean 'policy'? Valid: policy, replay.\n"
+    )
 
 
 def test_help_names_the_benchmarks(capsys: pytest.CaptureFixture) -> None:
