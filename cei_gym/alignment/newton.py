@@ -6,6 +6,7 @@ Our own because no library minimises a Chamfer distance over a kinematic tree to
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -19,33 +20,47 @@ from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obsta
 from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Surroundings, Track
 
 
+_FULL_SPEED = 0.999
+
+
 @njit(cache=True, nogil=True)
-def _track(target, points, normals, settings, keep_out, obstacles, obstacle_start, dt_s, u0):
-    frames, m = len(points), len(u0)
-    us, dcds, spent = np.empty((frames, m)), np.empty(frames), np.empty(frames, np.int64)
+def _track(target, points, normals, settings, keep_out, obstacles, obstacle_start, dt_s, u0, room):
+    """Joints, DCDs and iterations of each frame, and which of the source's it shows; `room` is for those shown again."""
+    most, m = len(points) + room, len(u0)
+    us, dcds, spent, shown = np.empty((most, m)), np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
     memory = empty_memory(target, points.shape[1])
     u = np.minimum(np.maximum(u0, target.lower), target.upper)
     last, before = u.copy(), u.copy()
-    for t in range(frames):
-        around = obstacles[obstacle_start[t] : obstacle_start[t + 1]]
+    source, frames = 0, 0
+    while source < len(points):
+        around = obstacles[obstacle_start[source] : obstacle_start[source + 1]]
         # The first frame has no frame before it to stay near to.
-        dcds[t], spent[t] = solve_frame(
+        dcds[frames], spent[frames] = solve_frame(
             target,
-            points[t],
-            normals[t],
+            points[source],
+            normals[source],
             settings,
             keep_out,
             around,
-            dt_s if t else -1.0,
+            dt_s if frames else -1.0,
             last,
             before,
             memory,
             u,
         )
-        before[:] = last if t else u
+        late = False
+        if room > 0 and frames:
+            for k in range(m):
+                late = late or abs(u[k] - last[k]) > _FULL_SPEED * target.fastest[k] * dt_s
+        before[:] = last if frames else u
         last[:] = u
-        us[t] = u
-    return us, dcds, spent
+        us[frames], shown[frames] = u, source
+        frames += 1
+        if late:
+            room -= 1
+        else:
+            source += 1
+    return us[:frames], dcds[:frames], spent[:frames], shown[:frames]
 
 
 @njit(cache=True, nogil=True)
@@ -99,32 +114,46 @@ class NewtonSolver:
         surroundings: Surroundings | None = None,
     ) -> Track:
         """See `Solver.track`."""
+        return self._track(Motion(points_base, normals_base, u0, iterations, dt_s, surroundings))[1]
+
+    def track_waiting(self, motion: Motion, room: int) -> tuple[np.ndarray, Track]:
+        """Follow a motion freely, showing again each frame in which a joint moves as fast as it can.
+
+        Args:
+            motion: with its `dt_s`; its surroundings are left out.
+            room: how many frames may be shown again, in all.
+
+        Returns:
+            (T',) indices into the motion's T frames, each at least once, in order, and the track through them.
+        """
+        return self._track(replace(motion, surroundings=None), room)
+
+    def _track(self, motion: Motion, room: int = 0) -> tuple[np.ndarray, Track]:
+        iterations, surroundings = motion.iterations, motion.surroundings
         target, keep_out = self._free
         if surroundings is not None:
             target, keep_out = self._guarded
             keep_out = keep_out._replace(height_m=float(surroundings.support_z_base_m))
-        obstacles, obstacle_start = pack_obstacles(surroundings, len(points_base))
+        obstacles, obstacle_start = pack_obstacles(surroundings, len(motion.points_base))
         settings = self._settings if iterations is None else self._settings._replace(iterations=iterations)
-        u, objective, spent = _track(
+        u, objective, spent, shown = _track(
             target,
-            np.ascontiguousarray(points_base, float),
-            np.ascontiguousarray(normals_base, float),
+            np.ascontiguousarray(motion.points_base, float),
+            np.ascontiguousarray(motion.normals_base, float),
             settings,
             keep_out,
             obstacles,
             obstacle_start,
-            (dt_s or 0.0) * self.options.velocity_scale,
-            np.ascontiguousarray(u0, float),
+            (motion.dt_s or 0.0) * self.options.velocity_scale,
+            np.ascontiguousarray(motion.u0, float),
+            room,
         )
-        return Track(u, objective, spent)
+        return shown, Track(u, objective, spent)
 
     def track_all(self, motions: Sequence[Motion]) -> list[Track]:
         """See `Solver.track_all`."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return list(pool.map(self._track_motion, motions))
-
-    def _track_motion(self, m: Motion) -> Track:
-        return self.track(m.points_base, m.normals_base, m.u0, m.iterations, m.dt_s, m.surroundings)
+            return [track for _, track in pool.map(self._track, motions)]
 
     def advance(self, points_base, normals_base, last, before, dt_s: float | None = None) -> np.ndarray:
         """One more frame, (N, 3) each, after the last two solutions (m,); the new one."""
