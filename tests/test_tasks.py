@@ -474,6 +474,9 @@ def test_experts_differ_by_seed_and_repeat_by_seed(task: str, envs: dict[str, CE
     lower, upper = env.embodiment.lower, env.embodiment.upper
     for plan in (one, other):
         assert ((plan >= lower - 1e-6) & (plan <= upper + 1e-6)).all()
+    ideal, alike = env.expert(0, variation=0.0), env.expert(1, variation=0.0)
+    assert ideal.describe() == alike.describe() != env.expert(0).describe()
+    np.testing.assert_array_equal(*(e.plan(start["agent_pos"], start["environment_state"]) for e in (ideal, alike)))
     # And it looks at where things are: another start, another plan of the same expert.
     elsewhere, _ = env.reset(seed=1)
     assert np.abs(plan_of(env, 0, elsewhere)[30] - one[30]).max() > 0.01

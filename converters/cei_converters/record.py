@@ -30,6 +30,7 @@ class RecordConfig:
     root: str | None = None  # Its folder, which must not exist; default: LeRobot's cache.
     episodes: int = 20  # How many demonstrations.
     seed: int = 0  # Of the first one.
+    variation: float = 1.0  # How much the expert's demonstrations differ: 1 as people's do, 0 not at all.
     cameras: list[str] | None = None  # Depth cameras, such as [front,left,top]; default: front.
     depth_noise: str | None = None  # What makes depth like a real camera's, such as kinect; default: nothing.
     colours: bool = False  # Pictures beside depth, so that clouds have colours.
@@ -59,6 +60,8 @@ def record(config: RecordConfig) -> dict[str, Any]:
 
     if config.episodes < 1:
         raise CEIError(f"--episodes={config.episodes}: record at least 1.")
+    if not 0 <= config.variation <= 1:
+        raise CEIError(f"--variation={config.variation}: from 0 to 1.")
     check_repo_id(config.repo_id)
     check_json_path(config.json)
     if config.push_to_hub:
@@ -72,7 +75,7 @@ def record(config: RecordConfig) -> dict[str, Any]:
     results = []
     with contextlib.ExitStack() as stack:
         if config.teleop is None:
-            episodes = scripted(env, seeds)
+            episodes = scripted(env, seeds, config.variation)
         else:
             teleoperator = stack.enter_context(env.get_wrapper_attr("teleoperator")(config.teleop))
             stack.enter_context(_on_interrupt(teleoperator.stop))
@@ -117,11 +120,11 @@ type Episode = tuple[int, Demonstration, dict[str, Any], dict[str, Any]]
 """Seed, demonstration, its last `info`, and what else the metadata shall say of it."""
 
 
-def scripted(env, seeds: Iterable[int]) -> Iterator[Episode]:
-    """The expert's episodes, one a seed, whether or not they succeed."""
+def scripted(env, seeds: Iterable[int], variation: float = 1.0) -> Iterator[Episode]:
+    """The expert's episodes, one a seed, whether or not they succeed; they differ as much as `variation` says."""
     for index, seed in enumerate(seeds):
-        demonstration, info, variation = record_episode(env, seed, index)
-        yield seed, demonstration, info, {"variation": variation}
+        demonstration, info, varied = record_episode(env, seed, index, variation)
+        yield seed, demonstration, info, {"variation": varied}
 
 
 def by_hand(env, seeds: Iterable[int], teleoperator, device: str) -> Iterator[Episode]:
@@ -138,13 +141,15 @@ def by_hand(env, seeds: Iterable[int], teleoperator, device: str) -> Iterator[Ep
         yield seed, as_demonstration(env, frames, index), info, {"teleop": device}
 
 
-def record_episode(env, seed: int, index: int) -> tuple[Demonstration, dict[str, Any], dict[str, Any]]:
+def record_episode(
+    env, seed: int, index: int, variation: float = 1.0
+) -> tuple[Demonstration, dict[str, Any], dict[str, Any]]:
     """One demonstration of the expert: the episode, its last `info`, and how the expert varied.
 
     Raises:
         CEIError: the environment has no expert.
     """
-    expert = env.unwrapped.expert(seed)
+    expert = env.unwrapped.expert(seed, variation)
 
     def policy(observation: dict[str, np.ndarray]) -> Iterable[np.ndarray]:
         targets = expert.plan(observation["agent_pos"], observation["environment_state"]).astype(np.float32)

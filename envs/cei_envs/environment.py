@@ -231,15 +231,15 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         """The simulation's model."""
         return self._simulation.model
 
-    def expert(self, seed: int):
-        """The scripted expert of this task and embodiment, varied by `seed`.
+    def expert(self, seed: int, variation: float = 1.0):
+        """The scripted expert of this task and embodiment, varied by `seed`: 1 as people vary, 0 not at all.
 
         Raises:
             CEIError: there is none.
         """
         from cei_envs.experts import make_expert  # mink is not needed to run an environment
 
-        return make_expert(self.task, self.embodiment, self.scene.T_world_base, seed)
+        return make_expert(self.task, self.embodiment, self.scene.T_world_base, seed, variation)
 
     def teleoperator(self, device: str):
         """Hand control of the robot by one of robosuite's devices: "keyboard" or "spacemouse".

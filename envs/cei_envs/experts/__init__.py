@@ -9,8 +9,8 @@ EXPERTS = {
 }
 
 
-def make_expert(task: str, embodiment, T_world_base, seed: int):
-    """The expert of a task for an embodiment.
+def make_expert(task: str, embodiment, T_world_base, seed: int, variation: float = 1.0):
+    """The expert of a task for an embodiment; `variation` as in `Expert`.
 
     Raises:
         CEIError: there is none (the message lists those there are).
@@ -21,4 +21,4 @@ def make_expert(task: str, embodiment, T_world_base, seed: int):
         known = ", ".join(f"CEI-{t}-{e}" for t, e in EXPERTS)
         raise CEIError(f"no scripted expert for CEI-{task}-{embodiment.name}. There is one for: {known}.")
     module, name = EXPERTS[task, embodiment.name].split(":")
-    return getattr(import_module(module), name)(embodiment, T_world_base, seed)
+    return getattr(import_module(module), name)(embodiment, T_world_base, seed, variation)

@@ -20,12 +20,13 @@ class Expert(ABC):
         embodiment: an arm with a parallel gripper.
         T_world_base: (4, 4) pose of its base, which stands upright.
         seed: of the variation.
+        variation: how much demonstrations differ; 1 as people's do, 0 not at all.
     """
 
-    def __init__(self, embodiment: Embodiment, T_world_base: np.ndarray, seed: int) -> None:
+    def __init__(self, embodiment: Embodiment, T_world_base: np.ndarray, seed: int, variation: float = 1.0) -> None:
         self._embodiment, self._T_base_world = embodiment, np.linalg.inv(T_world_base)
         self._rng = np.random.default_rng([seed, 1])
-        self.variation = Variation.sample(self._rng)
+        self._amount, self.variation = variation, Variation.sample(self._rng, variation)
 
     def describe(self) -> dict:
         """The variation, for the dataset's metadata."""

@@ -22,7 +22,7 @@ class OpenDrawerExpert(Expert):
         cabinet = Rotation.from_euler("z", yaw)
         handle = cabinet.apply(_HANDLE_CABINET_M) + [x, y, TABLE_Z_M] - cabinet.apply([opening, 0, 0])
         # The offset along the bar is harmless, so people vary more there.
-        along = self._rng.uniform(-0.02, 0.02)
+        along = self._amount * self._rng.uniform(-0.02, 0.02)
         grasp = handle + self.variation.offset_m + cabinet.apply([0, along, 0])
         rotation = self._reaching_down(yaw)
         pulled = grasp - cabinet.apply([_PULL_M, 0, 0])

@@ -30,7 +30,7 @@ class StackCubeExpert(Expert):
         closing = np.array([np.cos(closing_yaw), np.sin(closing_yaw), 0.0])
         carried = offset - closing * (closing @ offset)
         place = green[:3] + [0, 0, green[9] + red[9] + _LET_GO_M] + carried
-        place[:2] += self._rng.uniform(-_PLACE_M, _PLACE_M, 2)
+        place[:2] += self._amount * self._rng.uniform(-_PLACE_M, _PLACE_M, 2)
         up = np.array([0, 0, _ABOVE_M])
         return [
             self._waypoint(grasp + up, rotation, 0.0, 26),

@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Variation:
-    """How one demonstration differs from the ideal one.
+    """How one demonstration differs from the ideal one. Figures are for people, whose variation is 1.
 
     Attributes:
         offset_m: (3,) error of the grasp point; up to 6 mm each way.
@@ -24,16 +24,16 @@ class Variation:
     jitter_m: float
 
     @classmethod
-    def sample(cls, rng: np.random.Generator) -> "Variation":
-        """Draw a variation."""
-        x, y, z = rng.uniform(-0.006, 0.006, 3)
-        tilt = rng.uniform(-0.12, 0.12, 2)
+    def sample(cls, rng: np.random.Generator, amount: float = 1.0) -> "Variation":
+        """Draw a variation; 0 is the ideal demonstration."""
+        x, y, z = amount * rng.uniform(-0.006, 0.006, 3)
+        tilt = amount * rng.uniform(-0.12, 0.12, 2)
         return cls(
             (float(x), float(y), float(z)),
-            float(rng.uniform(-0.12, 0.12)),
+            float(amount * rng.uniform(-0.12, 0.12)),
             (float(tilt[0]), float(tilt[1])),
-            float(rng.uniform(0.7, 1.4)),
-            float(rng.uniform(0.0005, 0.0015)),
+            float(rng.uniform(0.7, 1.4) ** amount),
+            float(amount * rng.uniform(0.0005, 0.0015)),
         )
 
     def frames(self, n: int) -> int:
