@@ -19,7 +19,6 @@ from cei_gym.alignment.kernels.target import load_source, make_target
 from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
 from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Surroundings, Track
 
-
 _FULL_SPEED = 0.999
 
 
