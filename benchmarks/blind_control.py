@@ -4,14 +4,13 @@ usage: python benchmarks/blind_control.py [--seed 1000] [--episodes 20] [--resul
 """
 
 import argparse
-import json
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
+from measure import save
 
 import cei_gym  # noqa: F401  (registers the environments)
-from cei_converters.provenance import git_commit
 from cei_converters.record import HOLD_STEPS
 
 ENVIRONMENT = "CEI-PickCube-Panda-PandaGripper"
@@ -40,8 +39,7 @@ def main() -> None:
                 break
         successes += info["is_success"]
     result = {"env": ENVIRONMENT, "seeds": [seeds[0], seeds[-1]], "episodes": len(seeds), "successes": int(successes)}
-    args.results.mkdir(parents=True, exist_ok=True)
-    (args.results / "blind_control.json").write_text(json.dumps(result | {"commit": git_commit()}, indent=1) + "\n")
+    save(args.results / "blind_control.json", result)
     print(f"blind control: {successes} of {len(seeds)} succeed")
 
 

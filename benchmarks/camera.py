@@ -6,16 +6,14 @@ Away from edges: pixels whose eight neighbours show the same geom, without a ben
 """
 
 import argparse
-import json
 from pathlib import Path
 
 import gymnasium as gym
 import mujoco
 import numpy as np
-from measure import milliseconds, use_gl
+from measure import milliseconds, save, use_gl
 
 import cei_gym  # noqa: F401  (registers the environments)
-from cei_converters.provenance import git_commit, versions
 from cei_gym.rendering import DepthCamera, camera_from_mujoco
 
 CAMERAS = ("agentview", "frontview", "sideview")
@@ -98,11 +96,8 @@ def main() -> None:
         "size": args.size,
         "cameras": CAMERAS,
         "rows": rows,
-        "versions": versions(("cei-gym", "mujoco", "numba", "robosuite")),
-        "commit": git_commit(),
     }
-    args.results.mkdir(parents=True, exist_ok=True)
-    (args.results / "camera.json").write_text(json.dumps(result, indent=1) + "\n")
+    save(args.results / "camera.json", result)
 
 
 if __name__ == "__main__":

@@ -8,14 +8,13 @@ found within 1 mm of that. The defaults were chosen on seeds 0-999.
 """
 
 import argparse
-import json
 import time
 from pathlib import Path
 
 import numpy as np
+from measure import save
 from rich.progress import track
 
-from cei_converters.provenance import git_commit, versions
 from cei_gym.alignment import AlignmentProblem, InitialisationOptions, SolverOptions, find_basins
 from cei_gym.alignment.newton import NewtonSolver
 from cei_gym.alignment.starts import random_starts
@@ -97,18 +96,15 @@ def main() -> None:
         print(
             f"{row['lag_mm_max']:.1f})  {row['seconds_mean']:.3f} s, p99 {row['seconds_p99']:.3f}, max {row['seconds_max']:.3f}"
         )
-    args.results.mkdir(parents=True, exist_ok=True)
     result = {
         "command": f"python benchmarks/first_frame.py --cases {args.cases} --seed {args.seed}",
         "found_within_mm": 1e3 * FOUND_M,
         "pairs": PAIRS,
         "cases": args.cases,
         "seeds": [args.seed, args.seed + args.cases - 1],
-        "commit": git_commit(),
-        "versions": versions(["cei-gym", "numba", "numpy", "mujoco"]),
         "methods": rows,
     }
-    (args.results / "first_frame.json").write_text(json.dumps(result, indent=1) + "\n")
+    save(args.results / "first_frame.json", result)
 
 
 if __name__ == "__main__":

@@ -6,17 +6,16 @@ The transfer is fitted to demonstrations of seeds 0-5. Writes results/impersonat
 """
 
 import argparse
-import json
 from collections import Counter
 from pathlib import Path
 from time import perf_counter
 
 import gymnasium as gym
 import numpy as np
+from measure import save
 from tqdm import tqdm
 
 import cei_gym  # noqa: F401  (registers the environments)
-from cei_converters.provenance import git_commit
 from cei_converters.record import HOLD_STEPS, record_episode
 from cei_gym.embodiment import load_embodiment
 from cei_gym.transfer import Transfer
@@ -74,11 +73,8 @@ def main() -> None:
         "successes": outcomes.count("success"),
         "failures": dict(Counter(o for o in outcomes if o != "success")),
         "wrapper_ms": {str(p): round(float(np.percentile(wrapper_ms, p)), 2) for p in (50, 99)},
-        "commit": git_commit(),
     }
-    args.results.mkdir(parents=True, exist_ok=True)
-    path = args.results / f"{args.task}-{args.target}.json"
-    path.write_text(json.dumps(result, indent=1) + "\n")
+    save(args.results / f"{args.task}-{args.target}.json", result)
     print(
         f"{result['successes']} of {args.episodes} succeed; the wrapper takes {result['wrapper_ms']} ms (median, p99)"
     )

@@ -1,11 +1,15 @@
-"""What several benchmarks measure with: a clock, and MuJoCo's own renderer where there is a GL library."""
+"""What several benchmarks need: a clock, MuJoCo's own renderer where there is a GL library, a file for their results."""
 
 import importlib
+import json
 from collections.abc import Callable
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 from mujoco.rendering.classic import gl_context
+
+from cei_converters.provenance import PACKAGES, git_commit, versions
 
 
 def milliseconds(call: Callable, repeats: int) -> dict[str, float]:
@@ -31,3 +35,10 @@ def use_gl() -> bool:
         gl_context.GLContext = context
         return True
     return False
+
+
+def save(path: Path, result: dict) -> None:
+    """Write a result as JSON, with the versions and the commit that gave it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    made_by = {"versions": versions((*PACKAGES, "numba", "lerobot_policy_dp3")), "commit": git_commit()}
+    path.write_text(json.dumps(result | made_by, indent=1) + "\n")

@@ -13,7 +13,6 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core for both ways
 
 import argparse
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,13 +20,12 @@ from pathlib import Path
 import gymnasium as gym
 import mujoco
 import numpy as np
-from measure import milliseconds, use_gl
+from measure import milliseconds, save, use_gl
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.distance import cdist
 
 import cei_gym  # noqa: F401  (registers the environments)
-from cei_converters.provenance import git_commit, versions
 from cei_gym.demonstration import Camera
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.kinematics import KinematicTree
@@ -213,11 +211,8 @@ def main() -> None:
         "repeats": args.repeats,
         "rows": rows,
         "control_period_ms": periods,
-        "versions": versions(("cei-gym", "numpy", "numba", "mujoco", "robosuite")),
-        "commit": git_commit(),
     }
-    args.results.mkdir(parents=True, exist_ok=True)
-    (args.results / "observation.json").write_text(json.dumps(result, indent=1) + "\n")
+    save(args.results / "observation.json", result)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ training.json.
 """
 
 import argparse
-import json
 import tempfile
 from pathlib import Path
 from time import perf_counter
@@ -23,11 +22,11 @@ from lerobot.datasets.factory import resolve_delta_timestamps
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.policies.factory import make_pre_post_processors
 from lerobot.utils.feature_utils import dataset_to_policy_features
+from measure import save
 from tqdm import tqdm
 
 import cei_gym  # noqa: F401  (registers the environments)
 import lerobot_policy_dp3
-from cei_converters.provenance import git_commit, versions
 from cei_converters.record import record_episode
 from cei_converters.writer import DatasetWriter
 from cei_gym.embodiment import load_embodiment
@@ -126,11 +125,8 @@ def main() -> None:
         "samples_per_s": reading,
         "batch": BATCH,
         "policies": policies,
-        "versions": versions(("lerobot_policy_dp3", "lerobot", "datasets", "torch", "numpy")),
-        "commit": git_commit(),
     }
-    args.results.mkdir(parents=True, exist_ok=True)
-    (args.results / "training.json").write_text(json.dumps(result, indent=1) + "\n")
+    save(args.results / "training.json", result)
 
 
 if __name__ == "__main__":

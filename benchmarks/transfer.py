@@ -8,7 +8,6 @@ What its steps take is measured apart, one after the other on one core. Writes t
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -19,10 +18,10 @@ from time import perf_counter
 
 import gymnasium as gym
 import numpy as np
+from measure import save
 from tqdm import tqdm
 
 import cei_gym  # noqa: F401  (registers the environments)
-from cei_converters.provenance import git_commit
 from cei_converters.reader import DatasetReader
 from cei_converters.record import record_episode
 from cei_converters.writer import DatasetWriter
@@ -134,10 +133,8 @@ def main() -> None:
         "cores": os.cpu_count(),
         "ms_a_demonstration_on_one_core": each,
         "conversions": rows,
-        "commit": git_commit(),
     }
-    args.results.mkdir(parents=True, exist_ok=True)
-    (args.results / "transfer.json").write_text(json.dumps(result, indent=1) + "\n")
+    save(args.results / "transfer.json", result)
 
 
 if __name__ == "__main__":

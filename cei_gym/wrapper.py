@@ -108,15 +108,14 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
 
     def _shown(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         qpos = np.asarray(observation[self._joints_key], float)
-        points = self._points(observation)
-        kept = self._synthesiser.remove(points, self._scene, qpos)
-        shown = {}
+        points, shown = self._points(observation), {}
+        swap = self._synthesiser.options.swap
+        kept = self._synthesiser.remove(points, self._scene, qpos) if swap else points
         if self._impersonation is not None:
             qpos = self._impersonation.observe(qpos)
             shown[self._joints_key] = qpos.astype(np.float32)
-        swap = self._synthesiser.options.swap
         shown[self._cloud_key] = (
-            self._synthesiser.add(kept, self._scene, qpos) if swap else self._synthesiser.keep(points, self._scene)
+            self._synthesiser.add(kept, self._scene, qpos) if swap else self._synthesiser.keep(kept, self._scene)
         )
         return {**observation, **shown}
 

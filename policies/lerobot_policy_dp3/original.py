@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from torch import Tensor
 
 NAMES = (
-    (r"^obs_encoder\.", "obs_encoder."),
     (r"^model\.", "unet."),
     (r"\.blocks\.0\.", ".conv1."),
     (r"\.blocks\.1\.", ".conv2."),
@@ -20,7 +19,7 @@ with FiLM at every level, `blocks` are LeRobot's `conv1` and `conv2`, and the la
 
 
 def from_original(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """State dict for `DP3Model` (`policy.model`, or `policy.average.module` for averaged weights).
+    """State dict for `DP3Model`: `policy.model.load_state_dict(from_original(...))`. Until a policy is trained on, that acts.
 
     Args:
         weights: the original policy's state dict, as in its checkpoints under `state_dicts` (`model`, or `ema_model`).
