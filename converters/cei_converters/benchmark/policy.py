@@ -29,6 +29,7 @@ class PolicyBenchmarkConfig:
     tasks: str | None = None  # Such as PickCube,StackCube; default: all.
     targets: str | None = None  # Such as IIWA-Inspire,UR5e-FourierRight; default: the paper's four.
     variants: str | None = None  # Such as cei,no_augmentation; default: all, and the blind controls.
+    variation: float = 0.25  # How much the demonstrations differ: 1 as people's do, 0 not at all.
     training_seeds: int = 1  # Trainings of each policy, with seeds 0, 1, ...
     demonstrations: int = 50  # To train on, from seed 0 (development).
     episodes: int = 20  # Trials.
@@ -54,22 +55,13 @@ def policy_benchmark(config: PolicyBenchmarkConfig) -> None:
         if getattr(config, name) < 1:
             raise CEIError(f"--{name}={getattr(config, name)}: at least 1.")
     trials = Trials(config.seed, config.episodes, config.episode_length)
-    stages = Stages(Path(config.work), config.demonstrations, trials, config.training)
+    stages = Stages(Path(config.work), config.demonstrations, config.variation, trials, config.training)
     cells, folder, errors = list(_cells(config)), Path(config.results), []
-    found = {
-        cell: result
-        for cell in cells
-        if (result := read_cell(folder / f"{cell.name}.json", stages.settings(cell))) is not None
-    }
+    found = _finished(cells, stages, folder)
     if not config.redraw:
         folder.mkdir(parents=True, exist_ok=True)
-        todo = [cell for cell in cells if cell not in found]
-        errors = _run(todo, stages, config)
-        found = {
-            cell: result
-            for cell in cells
-            if (result := read_cell(folder / f"{cell.name}.json", stages.settings(cell))) is not None
-        }
+        errors = _run([cell for cell in cells if cell not in found], stages, config)
+        found = _finished(cells, stages, folder)
     if found:
         from cei_converters.benchmark.policy_report import write_report
 

@@ -17,6 +17,7 @@ from cei_converters.cli import parse
 from cei_converters.convert import ConvertConfig, convert
 from cei_converters.reader import DatasetReader
 from cei_converters.record import RecordConfig, record
+from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 
 BLIND = ("mean_action", "one_demonstration")
@@ -41,6 +42,9 @@ class Training:
     steps: int = 8000
     batch_size: int = 64
     lr: float = 1e-3
+    hand_weight: float | None = (
+        1.0  # Of a hand's joints together in the loss, each arm joint being 1; all are 1 in the paper.
+    )
     device: str = "cpu"
 
 
@@ -84,18 +88,25 @@ class Stages:
     Args:
         work: holds datasets and trainings.
         demonstrations: to train on, of seeds from 0.
+        variation: how much they differ.
         trials: of the evaluation.
         training: options.
     """
 
-    def __init__(self, work: Path, demonstrations: int, trials: Trials, training: Training) -> None:
-        self._work, self._demonstrations, self._trials, self._training = work, demonstrations, trials, training
+    def __init__(self, work: Path, demonstrations: int, variation: float, trials: Trials, training: Training) -> None:
+        self._work, self._demonstrations, self._variation = work, demonstrations, variation
+        self._trials, self._training = trials, training
         self._locks: dict[Path, Lock] = defaultdict(Lock)  # what two cells need is made once
         self._guard = Lock()
 
     def settings(self, cell: PolicyCell) -> dict[str, Any]:
         """What a finished cell must have been made with to count."""
-        shared = {**asdict(cell), "demonstrations": self._demonstrations, "trials": asdict(self._trials)}
+        shared = {
+            **asdict(cell),
+            "demonstrations": self._demonstrations,
+            "variation": self._variation,
+            "trials": asdict(self._trials),
+        }
         if cell.variant in BLIND:
             return shared
         training = asdict(self._training) | {"cloud_channels": list(self._training.cloud_channels)}
@@ -110,10 +121,8 @@ class Stages:
         source, converted = self._source(cell), self._converted(cell)
         with self._lock(source):
             if not source.exists():
-                config = RecordConfig(
-                    f"CEI-{cell.task}-{SOURCE}", _repo_id(source), str(source), self._demonstrations, 0
-                )
-                record(config)
+                env, count = f"CEI-{cell.task}-{SOURCE}", self._demonstrations
+                record(RecordConfig(env, _repo_id(source), str(source), count, 0, self._variation))
         with self._lock(converted):
             if not converted.exists():
                 options = [
@@ -178,6 +187,7 @@ class Stages:
                 *(f"--dataset.repo_id={_repo_id(converted)}", f"--dataset.root={converted}"),
                 *("--policy.type=dp3", f"--policy.size={t.size}", f"--policy.cloud_channels={list(t.cloud_channels)}"),
                 *([] if t.points is None else [f"--policy.points={t.points}"]),
+                *([] if t.hand_weight is None else [f"--policy.action_weights={_weights(cell.target, t.hand_weight)}"]),
                 *(f"--policy.optimizer_lr={t.lr}", f"--policy.device={t.device}", "--policy.push_to_hub=false"),
                 *(f"--policy.scheduler_warmup_steps={min(500, t.steps // 20)}", f"--batch_size={t.batch_size}"),
                 *(f"--steps={t.steps}", f"--save_freq={max(1, t.steps // 8)}", f"--log_freq={max(1, t.steps // 40)}"),
@@ -232,6 +242,12 @@ class Stages:
 
     def _checkpoint(self, cell: PolicyCell) -> Path:
         return self.trained(cell) / "checkpoints" / f"{self._training.steps:06d}" / "pretrained_model"
+
+
+def _weights(target: str, hand_weight: float) -> list[float]:
+    embodiment = load_embodiment(target)
+    hand = len(embodiment.home) - embodiment.n_arm
+    return [1.0] * embodiment.n_arm + [round(hand_weight / hand, 4)] * hand
 
 
 def _repo_id(root: Path) -> str:
