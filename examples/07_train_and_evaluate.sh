@@ -19,5 +19,5 @@ lerobot-train --dataset.repo_id=me/pick_cube_ur5e --dataset.root="$folder/ur5e" 
   --batch_size=64 --steps="$steps" --save_freq="$steps" --num_workers=0 --output_dir="$folder/train"
 
 lerobot-eval --policy.path="$folder/train/checkpoints/last/pretrained_model" \
-  --env.type=cei --env.task=PickCube-UR5e-FourierRight \
+  --env.type=cei --env.dataset="$folder/ur5e" \
   --eval.n_episodes="$trials" --eval.batch_size=2 --seed=1000 --output_dir="$folder/eval"

@@ -218,6 +218,36 @@ def test_a_recorded_start_is_restored_exactly(name: str, envs: dict[str, CEIEnv]
     assert_same(rollout(env, actions, options=start), recorded)
 
 
+def test_episodes_start_where_they_are_told_to() -> None:
+    home = make(NAMES[0], clouds=False)
+    middle = np.array([home.reset(seed=s)[0]["agent_pos"] for s in range(8)]).mean(axis=0)
+    starts = [(middle + 0.3).tolist(), (middle - 0.3).tolist()]
+    one, two = make(NAMES[0], clouds=False, start_qpos=starts[0]), make(NAMES[0], clouds=False, start_qpos=starts)
+    same = pickle.loads(pickle.dumps(two))
+    arm, chosen = slice(one.embodiment.n_arm), []
+    for seed in range(12):
+        found = home.reset(seed=seed)[0], one.reset(seed=seed)[0], two.reset(seed=seed)[0], same.reset(seed=seed)[0]
+        np.testing.assert_array_equal(found[0]["environment_state"], found[1]["environment_state"])
+        np.testing.assert_allclose(
+            (found[1]["agent_pos"] - found[0]["agent_pos"])[arm],
+            (starts[0] - middle)[arm] + (middle - home.embodiment.home)[arm],
+            atol=1e-5,
+        )
+        np.testing.assert_array_equal(found[2]["agent_pos"], found[3]["agent_pos"])
+        away = [np.abs(found[2]["agent_pos"] - start)[arm].max() for start in starts]
+        assert min(away) < 0.1 < max(away)
+        chosen.append(int(np.argmin(away)))
+    assert set(chosen) == {0, 1}
+    for env in (home, one, two, same):
+        env.close()
+
+
+@pytest.mark.parametrize("start", [[0.0] * 8, [[0.0] * 8], [float("nan")] * 9, "home", []])
+def test_a_start_of_the_wrong_kind_is_refused(start: object) -> None:
+    with pytest.raises(CEIError, match=r"^start_qpos is 9 finite joint positions of Panda-PandaGripper"):
+        make(NAMES[0], start_qpos=start)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_pickled_environment_goes_on_alike(name: str, envs: dict[str, CEIEnv]) -> None:
     env = envs[name]

@@ -10,7 +10,6 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-TARGET = "PickCube-UR5e-FourierRight"
 DP3 = ("--policy.type=dp3", "--policy.down_dims=[16,32]", "--policy.points=64", "--policy.scheduler_warmup_steps=2")
 
 
@@ -69,7 +68,7 @@ def test_dp3_trains_resumes_exactly_and_is_evaluated(folder: Path) -> None:
     for name, value in whole.items():
         torch.testing.assert_close(resumed[name], value, rtol=0, atol=0, msg=name)
 
-    evaluation = ("--env.type=cei", f"--env.task={TARGET}", "--env.episode_length=10", "--eval.use_async_envs=true")
+    evaluation = ("--env.type=cei", "--env.dataset=ur5e", "--env.episode_length=10", "--eval.use_async_envs=true")
     count = ("--eval.n_episodes=2", "--eval.batch_size=2", "--seed=1000", "--output_dir=eval", "--policy.device=cpu")
     run("lerobot-eval", "--policy.path=whole/checkpoints/last/pretrained_model", *evaluation, *count, cwd=folder)
     overall = json.loads((folder / "eval/eval_info.json").read_text())["overall"]

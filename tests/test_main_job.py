@@ -9,9 +9,13 @@ import pytest
 
 from cei_converters import convert, pads, record, replay
 from cei_converters.reader import DatasetReader
+from cei_envs.rollout import NEW_ROLLOUT
 from cei_gym.embodiment import load_embodiment
+from cei_gym.errors import CEIError
+from cei_gym.pointcloud import CloudOptions
 from cei_gym.transfer import Transfer
 from cei_gym.wrapper import CrossEmbodimentWrapper
+from lerobot_env_cei import CEIEnvConfig
 
 SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
 EPISODES = 2
@@ -142,6 +146,48 @@ def test_colours_are_converted_and_pictures_pass_through(coloured: Path) -> None
     red = cloud[0][np.linalg.norm(cloud[0, :, :3] - cube, axis=1) < 0.03][:, 3:]
     assert len(red) > 5
     assert np.median(red[:, 0] - red[:, 1:].max(axis=1)) > 0.1  # robosuite's cube is red
+
+
+@pytest.mark.parametrize("clouds", [[], ["--clouds.points=300", "--clouds.tau_m=0.01", "--clouds.colours=false"]])
+def test_lerobots_environment_is_the_datasets_own(coloured: Path, clouds: list[str]) -> None:
+    """Cameras, noise, options of clouds, start: all as the dataset has them."""
+    root = coloured.with_name(f"own-{len(clouds)}")
+    options = ["--dataset.repo_id=me/coloured", f"--dataset.root={coloured}", f"--target={TARGET}", *clouds]
+    assert convert.main([*options, "--new_repo_id=me/own", f"--new_root={root}"]) == 0
+    stored = DatasetReader("me/own", root).read(0)
+    config = CEIEnvConfig(dataset=str(root), render=False)
+    assert config.task == f"PickCube-{TARGET}"
+    vector = config.create_envs(1)["cei"][0]
+    own, _ = vector.reset(seed=[3], options={NEW_ROLLOUT: True})
+    assert np.abs(own["agent_pos"][0] - stored.qpos[0]).max() < 0.1  # noise of the start
+    assert np.abs(load_embodiment(TARGET).home - stored.qpos[0]).max() > 0.3
+    assert stored.point_cloud_world is not None
+    assert stored.point_cloud_world[0].shape == own["point_cloud"][0].shape == config.features["point_cloud"].shape
+    seen = vector.envs[0].get_wrapper_attr("scene")
+    for camera, other in zip(seen.cameras, stored.scene.cameras, strict=True):
+        np.testing.assert_allclose(camera.T_world_camera, other.T_world_camera)
+    wrapper = vector.envs[0].env
+    assert isinstance(wrapper, CrossEmbodimentWrapper)
+    assert wrapper._synthesiser.options == CloudOptions(
+        **({"points": 300, "tau_m": 0.01, "colours": False} if clouds else {})
+    )
+    vector.close()
+    # Recorded clouds are the cameras' own, and so are those of an environment that is made like theirs.
+    assert CEIEnvConfig(dataset=str(coloured)).augment is False
+
+
+def test_bad_datasets_of_lerobots_environment_get_one_line(
+    job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
+    with pytest.raises(CEIError, match=rf"^--env.task=StackCube-{TARGET}, but dataset .* is of PickCube-{TARGET}"):
+        CEIEnvConfig(dataset=str(job / "target"), task=f"StackCube-{TARGET}")
+    with pytest.raises(CEIError, match=r"^give --env.dataset, what the policy was trained on, or --env.task="):
+        CEIEnvConfig()
+    with pytest.raises(CEIError, match=r"is no dataset of CEI-Gym: meta/cei.json is missing\.$"):
+        CEIEnvConfig(dataset=str(tmp_path))
+    with pytest.raises(CEIError, match=r"^no dataset 'nobody/nothing': .* could not be fetched from the hub"):
+        CEIEnvConfig(dataset="nobody/nothing")
 
 
 def test_stock_lerobot_reads_the_converted_dataset(job: Path) -> None:

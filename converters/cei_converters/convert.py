@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -123,7 +124,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             base = reader.scene.T_world_base if pose is None else pose
             stage = open_stage(reader.repo_id, _environment(reader, config.target), config.target, base)
             verifier = Verifier(transfer, stack.enter_context(stage), config.verify, config.allow_unreachable)
-        entries, residuals, verdicts = _transfer_episodes(config, reader, selected, transfer, writer, verifier)
+        entries, residuals, verdicts, starts = _transfer_episodes(config, reader, selected, transfer, writer, verifier)
         print_table(_rows(entries, verdicts), f"{reader.embodiment.name} -> {config.target}")
         summary = summarise(verdicts) if verifier is not None else None
         if summary is not None:
@@ -132,6 +133,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             entries, residuals = (without(summary["dropped"], each) for each in (entries, residuals))
         if writer is not None:
             writer.provenance = _with_choices(writer.provenance, transfer, summary)
+            writer.environment = _with_start(writer.environment, starts)
         result = {
             "source": {"repo_id": reader.repo_id, "embodiment": reader.embodiment.name},
             "target": config.target,
@@ -252,14 +254,23 @@ def _revision(root: Path) -> str | None:
 
 
 def _environment(reader: "DatasetReader", target: str) -> "Environment":
-    """The source's environment with the robot exchanged."""
+    """The source's environment with the robot exchanged; it still starts at that robot's home."""
     from cei_converters.metadata import Environment
 
     known = reader.metadata.environment if reader.metadata is not None else Environment()
     source = reader.embodiment.name
     if known.id is None or not known.id.endswith(source):
         return Environment()
-    return Environment(known.id.removesuffix(source) + target, known.kwargs)
+    kwargs = {name: value for name, value in known.kwargs.items() if name != "start_qpos"}
+    return Environment(known.id.removesuffix(source) + target, kwargs)
+
+
+def _with_start(environment: "Environment", starts: dict[int, list[np.ndarray]]) -> "Environment":
+    """The environment with episodes that start where the demonstrations of each mode do: a policy knows no other way."""
+    if environment.id is None:
+        return environment
+    middles = [np.round(np.median(qpos, axis=0), 4).tolist() for _, qpos in sorted(starts.items())]
+    return replace(environment, kwargs=environment.kwargs | {"start_qpos": middles})
 
 
 def _rows(entries: list[dict[str, Any]], verdicts: list[Verdict]) -> list[dict[str, Any]]:
@@ -276,8 +287,9 @@ def _transfer_episodes(
     transfer: "Transfer",
     writer: "DatasetWriter | None",
     verifier: Verifier | None,
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]], list[Verdict]]:
-    """Summaries for the table, residuals frame by frame, and what a verifier says; dropped episodes included."""
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]], list[Verdict], dict[int, list[np.ndarray]]]:
+    """Summaries for the table, residuals frame by frame, and what a verifier says; dropped episodes included. Last, by mode,
+    the joints at which those that are kept start."""
     from threadpoolctl import threadpool_limits
 
     from cei_converters.progress import progress_bar
@@ -292,6 +304,7 @@ def _transfer_episodes(
         return (*transfer(recorded, mode), None) if verifier is None else verifier(recorded, mode)
 
     entries, residuals, verdicts = [], [], []
+    starts: dict[int, list[np.ndarray]] = defaultdict(list)
     # BLAS's own threads would spin on the cores that our workers have, waiting for the next product of a few thousand points.
     with progress_bar("frames") as progress, threadpool_limits(1, user_api="blas"):
         task = progress.add_task("choosing the start", total=sum(reader.frames(index) for index in selected))
@@ -307,7 +320,8 @@ def _transfer_episodes(
             if verdict is not None:
                 verdicts.append(verdict)
                 record["verified"] = verdict.record()
-            summary = report.summary() | ({"mode": i % config.init.modes} if config.init.modes > 1 else {})
+            mode = i % config.init.modes
+            summary = report.summary() | ({"mode": mode} if config.init.modes > 1 else {})
             entry = {"episode": index, "frames": len(demonstration), **summary}
             entries.append(entry)
             frames = {"pad_distance_mm": report.pad_distance_mm, "normal_angle_deg": report.normal_angle_deg}
@@ -319,8 +333,9 @@ def _transfer_episodes(
                     record["source_frames"] = demonstration.source_frames.tolist()
                 pictures = reader.pictures(index).at(demonstration.source_frames)
                 writer.add(demonstration, {**record, "alignment": summary}, pictures)
+                starts[mode].append(demonstration.qpos[0])
             progress.advance(task, len(demonstration))
-    return entries, residuals, verdicts
+    return entries, residuals, verdicts, starts
 
 
 def main(args: list[str] | None = None) -> int:

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 from cei_converters.hub import check_repo_id
+from cei_converters.metadata import METADATA_PATH
 from cei_gym.errors import CEIError, one_line
 
 INFO_PATH = "meta/info.json"
@@ -30,6 +31,31 @@ def locate(repo_id: str, root: str | Path | None, revision: str | None = None) -
         folder = _cached_or_downloaded(repo_id, revision)
     _check_version(folder, repo_id)
     return folder
+
+
+def locate_metadata(dataset: str) -> Path:
+    """Folder with a dataset's `meta/cei.json`, given the dataset's folder or its repo id; nothing else is downloaded.
+
+    Raises:
+        CEIError: there is none.
+    """
+    from lerobot.utils.constants import HF_LEROBOT_HOME
+
+    for folder in (Path(dataset), HF_LEROBOT_HOME / dataset):
+        if (folder / METADATA_PATH).is_file():
+            return folder
+    if Path(dataset).exists():
+        raise CEIError(f"{dataset} is no dataset of CEI-Gym: {METADATA_PATH} is missing.")
+    check_repo_id(dataset)
+    from huggingface_hub import hf_hub_download
+
+    try:
+        return Path(hf_hub_download(dataset, METADATA_PATH, repo_type="dataset")).parents[1]
+    except Exception as error:  # network, authorisation, unknown names: the hub's client has no common class
+        raise CEIError(
+            f"no dataset {dataset!r}: it is no folder, not in {HF_LEROBOT_HOME}, and {METADATA_PATH} could not be fetched "
+            f"from the hub ({one_line(error)})."
+        ) from error
 
 
 def _cached_or_downloaded(repo_id: str, revision: str | None) -> Path:

@@ -42,7 +42,7 @@ class DatasetWriter:
         cameras: LeRobot's features of cameras whose pictures pass through.
 
     Attributes:
-        provenance: as given; it may be completed until the block ends.
+        environment, provenance: as given; they may be completed until the block ends.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class DatasetWriter:
     ) -> None:
         self.repo_id = repo_id
         self.root = Path(root) if root is not None else default_root(repo_id)
-        self._environment = environment or Environment()
+        self.environment = environment or Environment()
         self.provenance = provenance or Provenance()
         self._cameras = dict(cameras or {})
         self._partial = self.root.parent / f".{self.root.name}.partial-{os.getpid()}"
@@ -148,7 +148,7 @@ class DatasetWriter:
         metadata = Metadata(
             embodiment=self._first.embodiment,
             scene=self._first.scene,
-            environment=self._environment,
+            environment=self.environment,
             provenance=self.provenance,
             episodes=tuple(self._records),
         )

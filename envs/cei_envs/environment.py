@@ -43,6 +43,8 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         depth_noise: what makes depth images like real ones: "kinect", or fields of `cei_gym.rendering.DepthNoise`; None for
             exact images. It changes no start; `scene.cameras` are as calibrated, with the error that it asks for.
         colours: points of `point_cloud` are x, y, z in m and r, g, b in [0, 1].
+        start_qpos: (n,) joint positions near which episodes start, or (k, n) to draw from, rad or m; default: the embodiment's
+            home. A policy starts where its demonstrations do, which is elsewhere for those of another robot.
         render_mode: "rgb_array" or None.
     """
 
@@ -62,6 +64,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         cameras: Sequence[str] = ("front",),
         depth_noise: str | Mapping[str, float] | None = None,
         colours: bool = False,
+        start_qpos: Sequence[float] | Sequence[Sequence[float]] | None = None,
         render_mode: str | None = None,
     ) -> None:
         gym.utils.EzPickle.__init__(
@@ -75,6 +78,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             cameras,
             depth_noise,
             colours,
+            start_qpos,
             render_mode,
         )
         if max_hold_ticks < 1:
@@ -83,6 +87,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             raise CEIError(f"unknown render_mode {render_mode!r}. Valid: {self.metadata['render_modes']} or None.")
         self.embodiment: Embodiment = load_embodiment(embodiment)
         self.render_mode = render_mode
+        self._starts = self._checked_starts(start_qpos)
         self._max_hold_ticks = max_hold_ticks
         placed = make_cameras(cameras, image_width, image_height)
         self._noise = as_noise(depth_noise)
@@ -259,7 +264,21 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
     def _sample_start(self, rng: np.random.Generator) -> np.ndarray:
         n, n_arm = len(self.embodiment.home), self.embodiment.n_arm
         noise = np.where(np.arange(n) < n_arm, rng.normal(0.0, START_NOISE_RAD, n), 0.0)
-        return np.clip(self.embodiment.home + noise, self.embodiment.lower, self.embodiment.upper)
+        start = self._starts[rng.integers(len(self._starts)) if len(self._starts) > 1 else 0]
+        return np.clip(start + noise, self.embodiment.lower, self.embodiment.upper)
+
+    def _checked_starts(self, start_qpos: Any) -> np.ndarray:
+        """(k, n) joint positions to start near."""
+        n = len(self.embodiment.home)
+        try:
+            starts = np.atleast_2d(np.asarray(self.embodiment.home if start_qpos is None else start_qpos, float))
+        except (TypeError, ValueError):
+            starts = np.empty((0, 0))
+        if starts.ndim != 2 or not len(starts) or starts.shape[1] != n or not np.isfinite(starts).all():
+            raise CEIError(
+                f"start_qpos is {n} finite joint positions of {self.embodiment.name}, or several times so many."
+            )
+        return starts
 
     def _checked(self, options: dict[str, Any], name: str, default: np.ndarray) -> np.ndarray:
         value = np.asarray(options.get(name, default), float)

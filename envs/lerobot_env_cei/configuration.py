@@ -4,19 +4,22 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, cast
 
+import draccus
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE, OBS_STR
 
+from cei_converters.locate import locate_metadata
+from cei_converters.metadata import Metadata
 from cei_envs import environment_id, environment_ids
 from cei_envs.environment import CLOUD_POINTS, CEIEnv
 from cei_envs.registration import TASKS
 from cei_envs.rollout import make_rollout_env
 from cei_envs.simulation import CONTROL_HZ
 from cei_gym.embodiment import load_embodiment
-from cei_gym.errors import unknown
+from cei_gym.errors import CEIError, unknown
 from cei_gym.pointcloud import CloudOptions
 from lerobot_env_cei.workers import quick_start
 
@@ -27,21 +30,25 @@ class CEIEnvConfig(EnvConfig):
     """Options of `--env.type=cei`.
 
     Attributes:
-        task: `<Task>-<Arm>-<EndEffector>`, with or without `CEI-` in front.
-        augment: show policies the clouds that `cei-convert` makes (`CrossEmbodimentWrapper`), not those of the cameras.
-        clouds: options of these clouds, as those of `cei-convert`.
+        dataset: of the policy's demonstrations, a folder or a repo id: episodes are as there, from the task to where the robot
+            starts, its cameras and the options of its clouds, unless options say otherwise.
+        task: `<Task>-<Arm>-<EndEffector>`, with or without `CEI-` in front; without a dataset, robots start at home.
+        augment: show policies the clouds that `cei-convert` makes (`CrossEmbodimentWrapper`), not those of the cameras; None
+            for yes, unless the dataset is no converted one.
+        clouds: options of these clouds, as those of `cei-convert`; None for the dataset's, else the default.
         cameras, depth_noise, colours: see `cei_envs.environment.CEIEnv`.
         episode_length: most steps of an episode.
         render: pictures for videos.
     """
 
-    task: str | None = "PickCube-Panda-PandaGripper"
+    dataset: str | None = None
+    task: str | None = None
     fps: int = CONTROL_HZ
-    augment: bool = True
-    clouds: CloudOptions = field(default_factory=CloudOptions)
-    cameras: list[str] = field(default_factory=lambda: ["front"])
+    augment: bool | None = None
+    clouds: CloudOptions | None = None
+    cameras: list[str] | None = None
     depth_noise: str | None = None
-    colours: bool = False
+    colours: bool | None = None
     episode_length: int = 400
     render: bool = True
     features_map: dict[str, str] = field(
@@ -54,15 +61,17 @@ class CEIEnvConfig(EnvConfig):
     )
 
     def __post_init__(self) -> None:
-        known = [env_id.removeprefix("CEI-") for env_id in environment_ids()]
-        self.task = (self.task or "").removeprefix("CEI-")
-        if self.task not in known:
-            raise unknown("env.task", self.task, known)
+        recorded = None if self.dataset is None else Metadata.load(locate_metadata(self.dataset))
+        self.task = _checked_task(self.task, recorded, self.dataset)
+        if self.augment is None:
+            self.augment = recorded is None or recorded.provenance.source is not None
+        self._recorded = {} if recorded is None else recorded.environment.kwargs
+        self._augmentation = self.clouds or _recorded_clouds(recorded)
         task, name = self.task.split("-", 1)
         entry = cast(type[CEIEnv], load_env_creator(TASKS[task][0]))
         n = len(load_embodiment(name).home)
-        points = self.clouds.points if self.augment else CLOUD_POINTS
-        coloured = self.colours and (self.clouds.colours or not self.augment)
+        points = self._augmentation.points if self.augment else CLOUD_POINTS
+        coloured = self.gym_kwargs.get("colours") and (self._augmentation.colours or not self.augment)
         self.features = {
             ACTION: PolicyFeature(FeatureType.ACTION, (n,)),
             "agent_pos": PolicyFeature(FeatureType.STATE, (n,)),
@@ -78,10 +87,10 @@ class CEIEnvConfig(EnvConfig):
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """What `gym.make` gets."""
+        given = {"cameras": self.cameras, "depth_noise": self.depth_noise, "colours": self.colours}
         return {
-            "cameras": tuple(self.cameras),
-            "depth_noise": self.depth_noise,
-            "colours": self.colours,
+            **self._recorded,
+            **{name: value for name, value in given.items() if value is not None},
             "max_episode_steps": self.episode_length,
             "render_mode": "rgb_array" if self.render else None,
             "disable_env_checker": self.disable_env_checker,
@@ -89,7 +98,7 @@ class CEIEnvConfig(EnvConfig):
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, VectorEnv]]:
         """One vector environment of `n_envs`, in processes of their own or one after the other."""
-        make = partial(make_rollout_env, self.gym_id, self.clouds if self.augment else None, **self.gym_kwargs)
+        make = partial(make_rollout_env, self.gym_id, self._augmentation if self.augment else None, **self.gym_kwargs)
         makers = [make] * n_envs
         # The environments repeat their last step by themselves; a reset in the same step would cost a simulation.
         if not (use_async_envs and n_envs > 1):
@@ -97,3 +106,28 @@ class CEIEnvConfig(EnvConfig):
         with quick_start():
             vector = AsyncVectorEnv(makers, context="forkserver", autoreset_mode=AutoresetMode.NEXT_STEP)
         return {self.type: {0: vector}}
+
+
+def _checked_task(task: str | None, recorded: Metadata | None, dataset: str | None) -> str:
+    """`<Task>-<Arm>-<EndEffector>`, as given or as recorded."""
+    known = [env_id.removeprefix("CEI-") for env_id in environment_ids()]
+    given = None if task is None else task.removeprefix("CEI-")
+    if given is not None and given not in known:
+        raise unknown("env.task", given, known)
+    if recorded is None:
+        if given is None:
+            raise CEIError(
+                "give --env.dataset, what the policy was trained on, or --env.task=<Task>-<Arm>-<EndEffector>."
+            )
+        return given
+    theirs = str(recorded.environment.id).removeprefix("CEI-")
+    if theirs not in known:
+        raise CEIError(f"dataset {dataset} names no environment of CEI-Gym ({theirs}); give --env.task instead.")
+    if given not in (None, theirs):
+        raise CEIError(f"--env.task={given}, but dataset {dataset} is of {theirs}; give one of the two.")
+    return theirs
+
+
+def _recorded_clouds(recorded: Metadata | None) -> CloudOptions:
+    options = {} if recorded is None else recorded.provenance.options.get("clouds", {})
+    return draccus.decode(CloudOptions, options)

@@ -149,7 +149,7 @@ class Stages:
             f"--policy.path={self._checkpoint(cell)}",
             "--policy.device=cpu",
             "--env.type=cei",
-            f"--env.task={cell.task}-{cell.target}",
+            f"--env.dataset={self._converted(cell)}",
             f"--env.augment={str(cell.variant == 'cei').lower()}",
             f"--env.episode_length={self._trials.length}",
             f"--eval.n_episodes={self._trials.count}",
@@ -206,7 +206,10 @@ class Stages:
             first = np.mean([demonstrations.read(i).action.mean(axis=0) for i in range(self._demonstrations)], axis=0)[
                 None
             ]
-        env = gym.make(f"CEI-{cell.task}-{cell.target}", clouds=False, max_episode_steps=self._trials.length)
+        assert demonstrations.metadata is not None
+        environment = demonstrations.metadata.environment
+        options = environment.kwargs | {"clouds": False, "max_episode_steps": self._trials.length}
+        env = gym.make(str(environment.id), **options)
         successes = []
         for seed in self._trials.seeds:
             env.reset(seed=seed)

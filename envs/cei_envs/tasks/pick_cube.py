@@ -49,12 +49,12 @@ class PickCubeEnv(CEIEnv):
     steps.
 
     ### Start
-    `reset(seed=...)` draws cube and joints (home plus 0.02 rad of noise); `options={"environment_state": ...,
+    `reset(seed=...)` draws cube and joints (home, or `start_qpos`, plus 0.02 rad of noise); `options={"environment_state": ...,
     "agent_pos": ...}` restores a recorded start exactly.
 
     ### Arguments
     See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,
-    `render_mode`.
+    `start_qpos`, `render_mode`.
     """
 
     task: ClassVar[str] = "PickCube"

@@ -42,12 +42,12 @@ class StackCubeEnv(CEIEnv):
     pushed, dropped, not released, timed out. Truncated after 400 steps.
 
     ### Start
-    `reset(seed=...)` draws cubes and joints (home plus 0.02 rad of noise); `options={"environment_state": ...,
+    `reset(seed=...)` draws cubes and joints (home, or `start_qpos`, plus 0.02 rad of noise); `options={"environment_state": ...,
     "agent_pos": ...}` restores a recorded start exactly.
 
     ### Arguments
     See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,
-    `render_mode`.
+    `start_qpos`, `render_mode`.
     """
 
     task: ClassVar[str] = "StackCube"
