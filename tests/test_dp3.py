@@ -137,17 +137,6 @@ def test_only_the_state_and_the_clouds_first_points_count():
     assert not torch.allclose(coloured.predict_action_chunk(batch, noise), coloured.predict_action_chunk(grey, noise))
 
 
-def test_actions_count_as_much_as_they_weigh():
-    weights = (1.0, 2.0, 0.0, 0.0, 5.0, 0.0, 1.0)
-    policy, batch = DP3Policy(config(action_weights=weights)), windows()
-    policy.model.unet.forward = lambda noisy, *_, **__: torch.zeros_like(noisy)
-    wanted = (batch[ACTION].square().mean(dim=(0, 1)) * torch.tensor(weights)).sum() / sum(weights)
-    torch.testing.assert_close(policy(batch)[0], wanted)
-    equal = DP3Policy(config())
-    equal.model.unet.forward = policy.model.unet.forward
-    torch.testing.assert_close(equal(batch)[0], batch[ACTION].square().mean())
-
-
 def test_what_hardly_moves_is_not_blown_up():
     stats = {
         OBS_STATE: {"min": torch.zeros(JOINTS), "max": torch.tensor([1.0] * 5 + [0.0, 1e-6])},
@@ -188,7 +177,6 @@ def test_the_papers_size_is_dp3s():
         ({"prediction_type": "velocity"}, "Valid: sample, epsilon"),
         ({"points": 51}, "the cloud has 50"),
         ({"use_colours": True}, "no colours"),
-        ({"action_weights": (1.0, 2.0)}, "has 2 values for 7 actions"),
         ({"cloud_key": "observation.cloud"}, "needs a point cloud"),
     ],
 )

@@ -32,8 +32,6 @@ class DP3Config(PreTrainedConfig):
         num_train_timesteps, num_inference_steps, beta_schedule, prediction_type, clip_sample_range: of the noise (DDIM).
         ema_power, ema_max_decay: the averaged weights decay by `1 - (1 + step) ** -power`, at most by the latter. They are the
             ones that act.
-        action_weights: of each action in the loss; None for equal ones, as in DP3. A hand's many joints, which all close at once,
-            else outweigh the arm's: an uncertain moment of closing costs more than a grasp a centimetre off.
         min_range: joints that move less in the data, rad or m, are normalised as if they moved so much: what never moves in a
             dataset does move a little on a robot.
         optimizer_lr, optimizer_betas, optimizer_eps, optimizer_weight_decay, scheduler_warmup_steps: of AdamW, whose rate falls
@@ -70,8 +68,6 @@ class DP3Config(PreTrainedConfig):
 
     ema_power: float = 0.75
     ema_max_decay: float = 0.9999
-
-    action_weights: tuple[float, ...] | None = None
 
     min_range: float = 0.1
 
@@ -119,9 +115,6 @@ class DP3Config(PreTrainedConfig):
             raise ValueError(f"dp3 needs {OBS_STATE!r} among the inputs {list(self.input_features or {})}.")
         if self.action_feature is None:
             raise ValueError(f"dp3 needs 'action' among the outputs {list(self.output_features or {})}.")
-        actions = self.action_feature.shape[0]
-        if self.action_weights is not None and len(self.action_weights) != actions:
-            raise ValueError(f"policy.action_weights has {len(self.action_weights)} values for {actions} actions.")
         points, channels = self.cloud_feature.shape
         if self.use_colours and channels != 6:
             raise ValueError(

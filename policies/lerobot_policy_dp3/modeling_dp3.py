@@ -114,9 +114,7 @@ class DP3Model(DiffusionModel):
         steps = torch.randint(0, most, (len(actions),), generator=random, device=actions.device)
         noisy = self.noise_scheduler.add_noise(actions, noise, cast(Any, steps))
         predicted = self.unet(noisy, steps, global_cond=condition)
-        error = F.mse_loss(predicted, actions if self.config.prediction_type == "sample" else noise, reduction="none")
-        weights = self.config.action_weights
-        return error.mean() if weights is None else error.mean(dim=(0, 1)) @ error.new_tensor(weights) / sum(weights)
+        return F.mse_loss(predicted, actions if self.config.prediction_type == "sample" else noise)
 
     def _prepare_global_conditioning(self, batch: dict[str, Tensor]) -> Tensor:
         """(B, n_obs_steps * features)."""

@@ -17,7 +17,6 @@ from cei_converters.cli import parse
 from cei_converters.convert import ConvertConfig, convert
 from cei_converters.reader import DatasetReader
 from cei_converters.record import RecordConfig, record
-from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 
 BLIND = ("mean_action", "one_demonstration")
@@ -42,9 +41,6 @@ class Training:
     steps: int = 8000
     batch_size: int = 64
     lr: float = 1e-3
-    hand_weight: float | None = (
-        1.0  # Of a hand's joints together in the loss, each arm joint being 1; all are 1 in the paper.
-    )
     device: str = "cpu"
 
 
@@ -187,7 +183,6 @@ class Stages:
                 *(f"--dataset.repo_id={_repo_id(converted)}", f"--dataset.root={converted}"),
                 *("--policy.type=dp3", f"--policy.size={t.size}", f"--policy.cloud_channels={list(t.cloud_channels)}"),
                 *([] if t.points is None else [f"--policy.points={t.points}"]),
-                *([] if t.hand_weight is None else [f"--policy.action_weights={_weights(cell.target, t.hand_weight)}"]),
                 *(f"--policy.optimizer_lr={t.lr}", f"--policy.device={t.device}", "--policy.push_to_hub=false"),
                 *(f"--policy.scheduler_warmup_steps={min(500, t.steps // 20)}", f"--batch_size={t.batch_size}"),
                 *(f"--steps={t.steps}", f"--save_freq={max(1, t.steps // 8)}", f"--log_freq={max(1, t.steps // 40)}"),
@@ -245,12 +240,6 @@ class Stages:
 
     def _checkpoint(self, cell: PolicyCell) -> Path:
         return self.trained(cell) / "checkpoints" / f"{self._training.steps:06d}" / "pretrained_model"
-
-
-def _weights(target: str, hand_weight: float) -> list[float]:
-    embodiment = load_embodiment(target)
-    hand = len(embodiment.home) - embodiment.n_arm
-    return [1.0] * embodiment.n_arm + [round(hand_weight / hand, 4)] * hand
 
 
 def _repo_id(root: Path) -> str:
