@@ -38,7 +38,7 @@ class Training:
     size: str = "small"  # Of the UNet: paper, simple or small.
     points: int | None = 256  # Of each cloud; default of the paper's size: all.
     cloud_channels: tuple[int, ...] = (32, 64, 128)  # Of the PointNet; the paper's: 64,128,256.
-    steps: int = 8000
+    steps: int = 20000
     batch_size: int = 64
     lr: float = 1e-3
     device: str = "cpu"
