@@ -21,7 +21,7 @@ FORBIDDEN = {
     "cei_gym": {"robosuite", "lerobot", "datasets", "cei_envs", "cei_converters"},
     "cei_envs": {"lerobot", "datasets", "torch", "cei_converters"},
     "cei_converters": {"robosuite", "mujoco", "lerobot_env_cei", "lerobot_policy_dp3"},
-    "lerobot_env_cei": {"robosuite", "mujoco", "cei_converters", "lerobot_policy_dp3"},
+    "lerobot_env_cei": {"robosuite", "mujoco", "lerobot_policy_dp3"},
     # of use to anybody who has point clouds in LeRobot datasets
     "lerobot_policy_dp3": {"cei_gym", "cei_envs", "cei_converters", "lerobot_env_cei"},
 }
