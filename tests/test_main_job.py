@@ -215,6 +215,23 @@ def test_metadata_and_card_say_how_it_was_made(job: Path) -> None:
     assert "cross-embodiment" in card
 
 
+def test_the_environment_starts_where_each_motion_does(job: Path, tmp_path: Path) -> None:
+    def starts(root: Path) -> tuple[np.ndarray, list[np.ndarray]]:
+        reader = DatasetReader("me/any", root)
+        assert reader.metadata is not None
+        found = np.array(reader.metadata.environment.kwargs["start_qpos"])
+        return found, [reader.read(i).qpos[0] for i in range(EPISODES)]
+
+    found, first = starts(job / "target")
+    assert len(found) == 1
+    assert np.abs(found[0] - first).max() < 0.2  # the starts differ by what the recorded ones do
+    two = ["--init.modes=2", "--new_repo_id=me/two", f"--new_root={tmp_path / 'two'}"]
+    assert convert.main([*source_options(job), f"--target={TARGET}", *two]) == 0
+    found, first = starts(tmp_path / "two")
+    np.testing.assert_allclose(found, first, atol=1e-4)
+    assert np.abs(found[0] - found[1]).max() > 0.5
+
+
 def test_film_and_contact_sheet_are_there(job: Path) -> None:
     import av
 

@@ -1,5 +1,6 @@
 """Options of the environments, and their vector form."""
 
+import logging
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, cast
@@ -63,6 +64,12 @@ class CEIEnvConfig(EnvConfig):
     def __post_init__(self) -> None:
         recorded = None if self.dataset is None else Metadata.load(locate_metadata(self.dataset))
         self.task = _checked_task(self.task, recorded, self.dataset)
+        if recorded is None:
+            logging.warning(
+                "%s starts with the robot at home; a policy that was trained on converted demonstrations wants "
+                "--env.dataset=<their folder or repo id>, to start where they do.",
+                self.task,
+            )
         if self.augment is None:
             self.augment = recorded is None or recorded.provenance.source is not None
         self._recorded = {} if recorded is None else recorded.environment.kwargs
