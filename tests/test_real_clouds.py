@@ -194,7 +194,10 @@ def test_a_transfer_is_as_close_to_the_source_whatever_the_cloud(
     plain, report = transfer(clean, clouds=False)
     spoilt, its_report = transfer(damaged(clean, damage), clouds=False)
     assert len(spoilt) == len(plain)
-    assert its_report.pad_distance_mm.mean() < report.pad_distance_mm.mean() + 2.0
+    # The way may lead around obstacles that are not there; what is held is held as before.
+    farther_mm = its_report.pad_distance_mm - report.pad_distance_mm
+    assert farther_mm.mean() < 4.0
+    assert np.abs(farther_mm[-20:]).max() < 3.0
 
 
 def test_a_transfer_without_any_depth_is_that_without_a_cloud(clean: Demonstration, transfer: Transfer) -> None:
