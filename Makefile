@@ -9,7 +9,7 @@ PYTEST_ARGS ?=
 # Python may cache what it compiles: importing everything anew takes 14 s a process.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup demo test check format type build benchmark lock clean
+.PHONY: help setup demo test ray check format type build benchmark lock clean
 
 help: ## List the targets (the default)
 	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1 # \2/p' $(MAKEFILE_LIST) | awk -F' # ' '{ printf "%-18s %s\n", $$1, $$2 }'
@@ -25,6 +25,9 @@ demo: setup ## Move a skill between two robots and show it: outputs/demo/report.
 
 test: setup ## Run the tests (PYTEST_ARGS="-k word" picks some)
 	@OMP_NUM_THREADS=1 $(PYTHON_ENV) -m pytest -n 2 --dist worksteal $(PYTEST_ARGS) tests
+
+ray: setup ## Test conversions on a Ray cluster of this machine
+	@CEI_RAY=1 $(PYTHON_ENV) -m pytest -k ray tests/test_resume.py
 
 check: setup ## Check format, lint and types; changes nothing
 	@.venv/bin/ruff format --check --quiet .

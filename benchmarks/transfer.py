@@ -8,16 +8,19 @@ What its steps take is measured apart, one after the other on one core. Writes t
 """
 
 import argparse
+import contextlib
 import os
 import subprocess
 import sys
 import tempfile
+import time
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
 
 import gymnasium as gym
 import numpy as np
+import psutil
 from measure import save
 from tqdm import tqdm
 
@@ -54,18 +57,33 @@ def convert(root: Path, target: str, count: int) -> dict:
     command += [f"--dataset.root={root}", f"--target={target}", "--new_repo_id=benchmark/converted"]
     command += [f"--new_root={new_root}", f"--episodes={','.join(map(str, range(count)))}"]
     start = perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    _, status, usage = os.wait4(process.pid, 0)
+    process = psutil.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    cpu_s, memory = watch(process)
     seconds = perf_counter() - start
-    if os.waitstatus_to_exitcode(status) != 0:
+    if process.returncode != 0:
         raise SystemExit(process.stderr.read().decode() if process.stderr else "cei-convert failed")
     return {
         "demonstrations": count,
         "whole_s": round(seconds, 1),
-        "cpu_s": round(usage.ru_utime + usage.ru_stime, 1),
-        "peak_memory_mb": round(usage.ru_maxrss / 1024),
+        "cpu_s": round(cpu_s, 1),
+        "peak_memory_mb": round(memory / 2**20),
         "paper_s": PAPER_S.get(count),
     }
+
+
+def watch(process: psutil.Popen) -> tuple[float, int]:
+    """CPU seconds of a process and all it started, and the most memory that they had together, bytes, shared pages once."""
+    cpu_s, most = {}, 0
+    while process.poll() is None:
+        memory = 0
+        with contextlib.suppress(psutil.NoSuchProcess):
+            for one in (process, *process.children(recursive=True)):
+                with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied, psutil.ZombieProcess):
+                    cpu_s[one.pid, one.create_time()] = sum(one.cpu_times()[:2])
+                    memory += one.memory_full_info().pss
+        most = max(most, memory)
+        time.sleep(0.5)
+    return sum(cpu_s.values()), most
 
 
 class Stopwatch:

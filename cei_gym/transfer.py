@@ -176,7 +176,20 @@ class Transfer:
         )
         # The first demonstration rules most candidates out; the rest decide among the few that are left.
         few = judge_basins(self._follower, motions[:1], starts, refine=False)[: _FINALISTS * self.init.modes]
-        self._finalists = judge_basins(self._follower, motions, np.array([b.u for b in few]))
+        self.start_from(judge_basins(self._follower, motions, np.array([b.u for b in few])))
+
+    @property
+    def finalists(self) -> list[Basin]:
+        """What `fit` judged on all its demonstrations, best first; none with "bms"."""
+        return self._finalists
+
+    def start_from(self, finalists: Sequence[Basin]) -> None:
+        """Take what another transfer of the same options has fitted.
+
+        Raises:
+            CEIError: there are fewer distinct motions than `init.modes`.
+        """
+        self._finalists = list(finalists)
         self.basins = choose_modes(self._finalists, self.init.modes)
 
     def __call__(

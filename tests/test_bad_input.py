@@ -313,7 +313,7 @@ def test_corrupt_files(refuse: Callable, root: Path) -> None:
 
 
 def test_interrupt_leaves_nothing(main: Callable, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object) -> None:
+    def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("cei_gym.transfer.Transfer.__call__", interrupt)

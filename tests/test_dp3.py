@@ -55,6 +55,28 @@ def test_training_looks_at_few_points_with_the_same_result_and_gradient(channels
         torch.testing.assert_close(net(points), plain)
 
 
+def test_training_sees_other_points_and_joints_each_time_and_the_same_when_repeated():
+    policy, batch = DP3Policy(config(points=10, random_points=True, state_noise=0.5)), windows(256)
+    seen = []
+    policy.model.compute_loss = lambda batch, _: seen.append(batch) or torch.zeros(())
+    for step in (0, 0, 1):
+        policy.average.n_averaged.fill_(step)
+        policy.forward(batch)
+    for key in (OBS_STATE, CLOUD):
+        torch.testing.assert_close(seen[0][key], seen[1][key])
+        assert not torch.equal(seen[0][key], seen[2][key])
+    torch.testing.assert_close(seen[0][ACTION], batch[ACTION])
+    noise = seen[0][OBS_STATE] - batch[OBS_STATE]
+    torch.testing.assert_close(noise[:, 0], noise[:, 1])
+    assert noise.std() == pytest.approx(0.5, rel=0.1)
+    assert seen[0][CLOUD].shape == (256, 2, 10, 3)
+    for point in seen[0][CLOUD][3, 1]:
+        assert (batch[CLOUD][3, 1] == point).all(dim=1).any()
+    policy.eval()
+    policy.forward(batch)
+    assert all(seen[3][key] is batch[key] for key in batch)  # nothing of it where it acts
+
+
 def test_it_learns_a_constant_and_its_average_acts():
     torch.manual_seed(1)
     policy = DP3Policy(config())
@@ -175,6 +197,7 @@ def test_the_papers_size_is_dp3s():
         ({"horizon": 15}, "multiple of 2"),
         ({"n_action_steps": 16}, "more than the 15"),
         ({"prediction_type": "velocity"}, "Valid: sample, epsilon"),
+        ({"state_noise": -1.0}, "policy.state_noise=-1.0 is less than 0"),
         ({"points": 51}, "the cloud has 50"),
         ({"use_colours": True}, "no colours"),
         ({"cloud_key": "observation.cloud"}, "needs a point cloud"),

@@ -220,19 +220,14 @@ def test_a_recorded_start_is_restored_exactly(name: str, envs: dict[str, CEIEnv]
 
 def test_episodes_start_where_they_are_told_to() -> None:
     home = make(NAMES[0], clouds=False)
-    middle = np.array([home.reset(seed=s)[0]["agent_pos"] for s in range(8)]).mean(axis=0)
-    starts = [(middle + 0.3).tolist(), (middle - 0.3).tolist()]
+    starts = [(home.embodiment.home + away).tolist() for away in (0.3, -0.3)]
     one, two = make(NAMES[0], clouds=False, start_qpos=starts[0]), make(NAMES[0], clouds=False, start_qpos=starts)
     same = pickle.loads(pickle.dumps(two))
     arm, chosen = slice(one.embodiment.n_arm), []
     for seed in range(12):
         found = home.reset(seed=seed)[0], one.reset(seed=seed)[0], two.reset(seed=seed)[0], same.reset(seed=seed)[0]
         np.testing.assert_array_equal(found[0]["environment_state"], found[1]["environment_state"])
-        np.testing.assert_allclose(
-            (found[1]["agent_pos"] - found[0]["agent_pos"])[arm],
-            (starts[0] - middle)[arm] + (middle - home.embodiment.home)[arm],
-            atol=1e-5,
-        )
+        np.testing.assert_allclose((found[1]["agent_pos"] - found[0]["agent_pos"])[arm], 0.3, atol=1e-5)
         np.testing.assert_array_equal(found[2]["agent_pos"], found[3]["agent_pos"])
         away = [np.abs(found[2]["agent_pos"] - start)[arm].max() for start in starts]
         assert min(away) < 0.1 < max(away)

@@ -1,6 +1,7 @@
 """The main job through the commands themselves: record, convert, replay, and what they leave behind."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 
 from cei_converters import convert, pads, record, replay
+from cei_converters.environment import open_environment
+from cei_converters.metadata import Metadata
 from cei_converters.reader import DatasetReader
 from cei_envs.rollout import NEW_ROLLOUT
 from cei_gym.embodiment import load_embodiment
@@ -188,6 +191,17 @@ def test_bad_datasets_of_lerobots_environment_get_one_line(
         CEIEnvConfig(dataset=str(tmp_path))
     with pytest.raises(CEIError, match=r"^no dataset 'nobody/nothing': .* could not be fetched from the hub"):
         CEIEnvConfig(dataset="nobody/nothing")
+    known = Metadata.load(job / "target")
+    for name in ("start_posq", "embodiment"):
+        spoilt = replace(known, environment=replace(known.environment, kwargs={name: 0}))
+        spoilt.save(tmp_path)
+        line = (
+            rf"^unknown argument of CEI-PickCube-{TARGET} '{name}'\..* Valid: max_hold_ticks, image_width, .*start_qpos"
+        )
+        with pytest.raises(CEIError, match=line):
+            CEIEnvConfig(dataset=str(tmp_path))
+        with pytest.raises(CEIError, match=line):
+            open_environment(str(spoilt.environment.id), **spoilt.environment.kwargs)
 
 
 def test_stock_lerobot_reads_the_converted_dataset(job: Path) -> None:

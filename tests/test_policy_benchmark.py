@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from cei_converters.benchmark import command, paper
-from cei_converters.benchmark.policy_stages import VARIANTS
+from cei_converters.benchmark.policy_stages import VARIANTS, PolicyCell, Stages, Training, Trials
 
 PAPER = Path(__file__).parents[2] / "shared/paper/policy_success.csv"
 CELL = "PickCube-UR5e-FourierRight"
@@ -53,6 +53,17 @@ def test_every_variant_becomes_a_cell_and_trainings_are_shared(folder: Path) -> 
         for kind in ("swapped", "as_recorded")
     ]
     assert not np.allclose(*clouds, atol=1e-4)
+
+
+def test_a_learning_curve_counts_steps_once_however_often_training_was_stopped(tmp_path: Path) -> None:
+    stages = Stages(tmp_path, 1, 0.0, Trials(0, 1, 1), Training(steps=400))
+    cell = PolicyCell("PickCube", "UR5e-FourierRight", "cei")
+    line = "INFO ot_train.py:641 step:{0} smpl:1K ep:1 epch:{1} loss:{2} grdn:0.1 lr:1e-3 updt_s:0.2 data_s:0.0\n"
+    logged = [("0K", 1.0, 0.9), ("0K", 2.0, 0.5), ("0K", 3.0, 0.4), ("0K", 3.0, 0.3), ("0K", 4.0, 0.2)]
+    log = stages.trained(cell).with_suffix(".log")
+    log.parent.mkdir(parents=True)
+    log.write_text("Training: 1%\r" + "".join(line.format(*values) for values in logged) + "other: line\n")
+    assert stages.losses(cell) == [(100, 0.9), (200, 0.5), (300, 0.3), (400, 0.2)]
 
 
 def test_the_report_stands_beside_the_papers_figures(folder: Path) -> None:

@@ -196,8 +196,9 @@ def test_a_transfer_is_as_close_to_the_source_whatever_the_cloud(
     assert len(spoilt) == len(plain)
     # The way may lead around obstacles that are not there; what is held is held as before.
     farther_mm = its_report.pad_distance_mm - report.pad_distance_mm
-    assert farther_mm.mean() < 4.0
-    assert np.abs(farther_mm[-20:]).max() < 3.0
+    assert farther_mm.mean() < 3.0
+    assert np.median(farther_mm) < 2.0
+    assert np.abs(farther_mm[-20:]).max() < 2.0
 
 
 def test_a_transfer_without_any_depth_is_that_without_a_cloud(clean: Demonstration, transfer: Transfer) -> None:

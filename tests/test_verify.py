@@ -198,7 +198,7 @@ def use(transfer: Transfer, monkeypatch: pytest.MonkeyPatch) -> Use:
         self.basins, self._finalists = transfer.basins, transfer._finalists
 
     def put(succeeds: Callable[[FakeStage], bool]) -> None:
-        monkeypatch.setattr(convert, "open_stage", lambda *_: FakeStage(succeeds))
+        monkeypatch.setattr("cei_converters.conversion.converter.open_stage", lambda *_: FakeStage(succeeds))
         monkeypatch.setattr(Transfer, "fit", fit)
 
     return put

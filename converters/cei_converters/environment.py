@@ -1,8 +1,11 @@
 """Opening an environment by its id, with one clear line when that fails."""
 
+import inspect
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
+from gymnasium.envs.registration import load_env_creator
 
 import cei_gym  # noqa: F401  (registers the environments)
 from cei_gym.errors import CEIError, unknown
@@ -14,11 +17,28 @@ def open_environment(env_id: str, **kwargs: Any) -> gym.Env:
     """`gym.make`, limited to ids of ours.
 
     Raises:
-        CEIError: no such environment (the message lists the valid ones), or none is installed.
+        CEIError: no such environment (the message lists the valid ones), none is installed, or it takes no such argument.
     """
     ids = [name for name in gym.registry if name.startswith(PREFIX)]
     if not ids:
         raise CEIError("no CEI environment is installed; pip install 'cei-gym[envs]'.")
     if env_id not in ids:
         raise unknown("environment", env_id, ids)
+    check_arguments(env_id, kwargs)
     return gym.make(env_id, **kwargs)
+
+
+def check_arguments(env_id: str, kwargs: Mapping[str, Any]) -> None:
+    """Check the names of an environment's arguments, which may come from a dataset.
+
+    Raises:
+        CEIError: it takes no such argument, or its id says it already.
+    """
+    spec = gym.spec(env_id)
+    assert spec.entry_point is not None
+    creator = spec.entry_point if callable(spec.entry_point) else load_env_creator(spec.entry_point)
+    takes = [*inspect.signature(creator).parameters, "max_episode_steps", "disable_env_checker"]
+    takes = [name for name in takes if name not in spec.kwargs]
+    for name in kwargs:
+        if name not in takes:
+            raise unknown(f"argument of {env_id}", name, takes)

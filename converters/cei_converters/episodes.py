@@ -6,6 +6,7 @@ is one Arrow table from the start. Features, metadata, statistics and layout of 
 
 import io
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,40 @@ from cei_converters.cameras import Pictures
 from cei_converters.video_files import VideoFiles
 
 _MB = 1024**2
+
+
+@dataclass(frozen=True)
+class EncodedEpisode:
+    """An episode as it is stored, wherever in a dataset that may be.
+
+    Attributes:
+        table: a column each feature, but for those that say where in the dataset frames are, and for pictures that pass
+            through.
+        statistics: feature key to LeRobot's statistics.
+        task: what it shows, in words.
+    """
+
+    table: pa.Table
+    statistics: Mapping[str, dict[str, np.ndarray]]
+    task: str = ""
+
+
+def encode_episode(columns: Mapping[str, np.ndarray], features: Mapping[str, dict], task: str) -> EncodedEpisode:
+    """Values as a dataset stores them.
+
+    Args:
+        columns: feature key to (T, ...) values of the feature's type; images as (T, H, W, 1 or 3).
+        features: LeRobot's description of each column.
+        task: what the episode shows, in words.
+    """
+    from lerobot.datasets.feature_utils import get_hf_features_from_features
+
+    own = {key: feature for key, feature in features.items() if key in columns}
+    hf_features = get_hf_features_from_features(own)
+    schema: pa.Schema = hf_features.arrow_schema
+    arrays = [_arrow(columns[key], own[key], hf_features[key]) for key in schema.names]
+    statistics = {key: _statistics(columns[key], own[key]) for key in schema.names}
+    return EncodedEpisode(pa.Table.from_arrays(arrays, schema=schema), statistics, task)
 
 
 class EpisodeWriter:
@@ -38,36 +73,34 @@ class EpisodeWriter:
         self._meta = LeRobotDatasetMetadata.create(
             repo_id, fps=fps, features=features, root=root, robot_type=robot_type, use_videos=videos
         )
-        self._hf_features = get_hf_features_from_features(self._meta.features)
-        self._schema: pa.Schema = self._hf_features.arrow_schema
+        self._schema: pa.Schema = get_hf_features_from_features(self._meta.features).arrow_schema
         self._videos = VideoFiles(root, self._meta)
         self._file: pq.ParquetWriter | None = None
         self._place = 0, 0  # chunk, file
 
-    def add(self, columns: Mapping[str, np.ndarray], task: str, pictures: Pictures | None = None) -> None:
+    def add(self, episode: EncodedEpisode, pictures: Pictures | None = None) -> None:
         """Append an episode.
 
         Args:
-            columns: feature key to (T, ...) values of the feature's type; images as (T, H, W, 1 or 3).
-            task: what it shows, in words.
+            episode: what is stored of it.
             pictures: those that pass through as they are.
         """
         pictures = pictures or Pictures()
-        frames = len(next(iter(columns.values())))
+        frames, task = episode.table.num_rows, episode.task
         start = int(self._meta.total_frames)
         self._meta.save_episode_tasks([task])
         frame_index = np.arange(frames)
-        columns = {
-            **columns,
+        place_of_frames = {
             "timestamp": frame_index / self._meta.fps,
             "frame_index": frame_index,
             "episode_index": np.full(frames, self._meta.total_episodes),
             "index": start + frame_index,
             "task_index": np.full(frames, self._meta.get_task_index(task)),
         }
-        images = pictures.images
-        arrays = [images[key] if key in images else self._arrow(key, columns[key]) for key in self._schema.names]
-        self._write(pa.Table.from_arrays(arrays, schema=self._schema))
+        added = encode_episode(place_of_frames, self._meta.features, task)
+        columns = {key: table[key] for table in (episode.table, added.table) for key in table.column_names}
+        columns |= pictures.images
+        self._write(pa.Table.from_arrays([columns[key] for key in self._schema.names], schema=self._schema))
         chunk, file = self._place
         place: dict[str, int | float] = {
             "data/chunk_index": chunk,
@@ -77,35 +110,14 @@ class EpisodeWriter:
         }
         for key, clip in pictures.clips.items():
             place |= self._videos.add(key, clip)
-        own = {key: self._statistics(key, columns[key]) for key in self._schema.names if key in columns}
+        found = {**episode.statistics, **added.statistics}
+        own = {key: found[key] for key in self._schema.names if key in found}
         self._meta.save_episode(self._meta.total_episodes, frames, [task], {**own, **pictures.statistics}, place)
 
     def finalize(self) -> None:
         """Complete the files. May be called more than once."""
         self._close_file()
         self._meta.finalize()
-
-    def _arrow(self, key: str, values: np.ndarray) -> pa.Array:
-        from datasets.features.features import numpy_to_pyarrow_listarray
-        from datasets.table import cast_array_to_feature
-
-        if key in self._meta.image_keys:
-            return _images(values)
-        shape = tuple(self._meta.features[key]["shape"])
-        values = values.reshape(len(values), *(() if shape == (1,) else shape))  # LeRobot stores (1,) as scalars
-        return cast_array_to_feature(numpy_to_pyarrow_listarray(values), self._hf_features[key])
-
-    def _statistics(self, key: str, values: np.ndarray) -> dict[str, np.ndarray]:
-        """As LeRobot's `compute_episode_stats`, which reads images from files."""
-        from lerobot.datasets.compute_stats import auto_downsample_height_width, get_feature_stats, sample_indices
-
-        if key not in self._meta.image_keys:
-            return get_feature_stats(values, axis=0, keepdims=values.ndim == 1)
-        images = values[sample_indices(len(values))].transpose(0, 3, 1, 2)
-        small = np.stack([auto_downsample_height_width(image) for image in images])
-        stats = get_feature_stats(small, axis=(0, 2, 3), keepdims=True)
-        largest = 1.0 if key in self._meta.depth_keys else 255.0
-        return {name: value if name == "count" else value[0] / largest for name, value in stats.items()}
 
     def _write(self, table: pa.Table) -> None:
         """One row group an episode, so that a reader finds it without the others."""
@@ -130,6 +142,30 @@ class EpisodeWriter:
         if self._file is not None:
             self._file.close()
             self._file = None
+
+
+def _arrow(values: np.ndarray, feature: Mapping[str, Any], hf_feature: Any) -> pa.Array:
+    from datasets.features.features import numpy_to_pyarrow_listarray
+    from datasets.table import cast_array_to_feature
+
+    if feature["dtype"] == "image":
+        return _images(values)
+    shape = tuple(feature["shape"])
+    values = values.reshape(len(values), *(() if shape == (1,) else shape))  # LeRobot stores (1,) as scalars
+    return cast_array_to_feature(numpy_to_pyarrow_listarray(values), hf_feature)
+
+
+def _statistics(values: np.ndarray, feature: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """As LeRobot's `compute_episode_stats`, which reads images from files."""
+    from lerobot.datasets.compute_stats import auto_downsample_height_width, get_feature_stats, sample_indices
+
+    if feature["dtype"] != "image":
+        return get_feature_stats(values, axis=0, keepdims=values.ndim == 1)
+    images = values[sample_indices(len(values))].transpose(0, 3, 1, 2)
+    small = np.stack([auto_downsample_height_width(image) for image in images])
+    stats = get_feature_stats(small, axis=(0, 2, 3), keepdims=True)
+    largest = 1.0 if (feature.get("info") or {}).get("is_depth_map") else 255.0
+    return {name: value if name == "count" else value[0] / largest for name, value in stats.items()}
 
 
 def _images(images: np.ndarray) -> pa.Array:

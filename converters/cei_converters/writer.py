@@ -4,6 +4,7 @@ import contextlib
 import os
 import shutil
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,7 +15,7 @@ from cei_converters import schema
 from cei_converters.cameras import Pictures
 from cei_converters.card import write_card
 from cei_converters.columns import encode
-from cei_converters.episodes import EpisodeWriter
+from cei_converters.episodes import EncodedEpisode, EpisodeWriter, encode_episode
 from cei_converters.metadata import Environment, Metadata, Provenance, check_scene, plain
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
@@ -26,6 +27,29 @@ def default_root(repo_id: str) -> Path:
     from lerobot.utils.constants import HF_LEROBOT_HOME
 
     return HF_LEROBOT_HOME / repo_id
+
+
+@dataclass(frozen=True)
+class Header:
+    """What all episodes of a dataset share.
+
+    Attributes:
+        embodiment: whose they are.
+        fps: frames a second.
+        scene: base pose, cameras, workspace.
+        features: LeRobot's, without those of passed-through cameras.
+    """
+
+    embodiment: str
+    fps: float
+    scene: Scene
+    features: dict[str, dict]
+
+    @classmethod
+    def of(cls, demonstration: Demonstration) -> Self:
+        """That of a dataset with this demonstration."""
+        features = schema.features(load_embodiment(demonstration.embodiment), demonstration)
+        return cls(demonstration.embodiment, demonstration.fps, demonstration.scene, features)
 
 
 class DatasetWriter:
@@ -40,6 +64,7 @@ class DatasetWriter:
         environment: what the episodes replay in.
         provenance: how they came about.
         cameras: LeRobot's features of cameras whose pictures pass through.
+        partial: folder for unfinished files, on the same disk; default: a hidden sibling of `root`.
 
     Attributes:
         environment, provenance: as given; they may be completed until the block ends.
@@ -53,17 +78,17 @@ class DatasetWriter:
         environment: Environment | None = None,
         provenance: Provenance | None = None,
         cameras: Mapping[str, dict] | None = None,
+        partial: Path | None = None,
     ) -> None:
         self.repo_id = repo_id
         self.root = Path(root) if root is not None else default_root(repo_id)
         self.environment = environment or Environment()
         self.provenance = provenance or Provenance()
         self._cameras = dict(cameras or {})
-        self._partial = self.root.parent / f".{self.root.name}.partial-{os.getpid()}"
+        self._partial = partial or self.root.parent / f".{self.root.name}.partial-{os.getpid()}"
         self._new_folders: list[Path] = []
         self._records: list[dict[str, Any]] = []
-        self._first: Demonstration | None = None
-        self._features: dict[str, dict] = {}
+        self._header: Header | None = None
         self._episodes: EpisodeWriter | None = None
 
     def __enter__(self) -> Self:
@@ -72,6 +97,8 @@ class DatasetWriter:
         folders = (self.root.parent, *self.root.parent.parents)
         self._new_folders = [folder for folder in folders if not folder.exists()]
         self.root.parent.mkdir(parents=True, exist_ok=True)
+        if self._partial.exists():  # of a process that was killed
+            shutil.rmtree(self._partial)
         return self
 
     def add(
@@ -87,44 +114,39 @@ class DatasetWriter:
         Raises:
             CEIError: the episode does not match the first one, or a depth is out of range.
         """
-        where = f"episode {len(self._records)}"
-        if self._first is None:
-            self._start(demonstration)
+        episode = encode_episode(
+            encode(demonstration), (header := Header.of(demonstration)).features, demonstration.task
+        )
+        self.append(header, episode, record, pictures)
+
+    def append(
+        self,
+        header: Header,
+        episode: EncodedEpisode,
+        record: dict[str, Any] | None = None,
+        pictures: Pictures | None = None,
+    ) -> None:
+        """Write one episode that is encoded already; see `add`."""
+        if self._header is None:
+            self._start(header)
         else:
-            self._check_matches_first(demonstration, where)
+            _check_same(self._header, header, f"episode {len(self._records)}")
         assert self._episodes is not None
-        self._episodes.add(encode(demonstration), demonstration.task, pictures)
+        self._episodes.add(episode, pictures)
         self._records.append(plain(record or {}))
 
-    def _start(self, first: Demonstration) -> None:
-        if first.fps != int(first.fps):
-            raise CEIError(f"fps {first.fps} is not an integer, as LeRobot requires.")
-        check_scene(first.scene, "episode 0")
-        self._features = schema.features(load_embodiment(first.embodiment), first)
+    def _start(self, header: Header) -> None:
+        if header.fps != int(header.fps):
+            raise CEIError(f"fps {header.fps} is not an integer, as LeRobot requires.")
+        check_scene(header.scene, "episode 0")
         self._episodes = EpisodeWriter(
             self.repo_id,
             self._partial,
-            fps=int(first.fps),
-            features=self._features | self._cameras,
-            robot_type=first.embodiment,
+            fps=int(header.fps),
+            features=header.features | self._cameras,
+            robot_type=header.embodiment,
         )
-        # only what later episodes are compared with, not its frames
-        self._first = _without_frames(first)
-
-    def _check_matches_first(self, other: Demonstration, where: str) -> None:
-        first = self._first
-        assert first is not None
-        for what in ("embodiment", "fps"):
-            ours, theirs = getattr(first, what), getattr(other, what)
-            if ours != theirs:
-                raise CEIError(f"{where}: {what} is {theirs} but the dataset's is {ours}.")
-        if not _same_scene(first.scene, other.scene):
-            raise CEIError(f"{where}: base, cameras or workspace differ from episode 0; use one dataset a scene.")
-        theirs = schema.features(load_embodiment(other.embodiment), other)
-        for key in sorted(self._features.keys() | theirs.keys()):
-            expected, got = (found.get(key, {}).get("shape") for found in (self._features, theirs))
-            if key.startswith(("observation.", "action")) and expected != got:
-                raise CEIError(f"{where}: {key} has shape {got} but the dataset's is {expected}.")
+        self._header = header
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -142,12 +164,12 @@ class DatasetWriter:
                     folder.rmdir()
 
     def _finish(self) -> None:
-        if self._first is None or self._episodes is None:
+        if self._header is None or self._episodes is None:
             raise CEIError(f"no episode was written, so {self.root} is not made.")
         self._episodes.finalize()
         metadata = Metadata(
-            embodiment=self._first.embodiment,
-            scene=self._first.scene,
+            embodiment=self._header.embodiment,
+            scene=self._header.scene,
             environment=self.environment,
             provenance=self.provenance,
             episodes=tuple(self._records),
@@ -159,14 +181,17 @@ class DatasetWriter:
         self._partial.rename(self.root)
 
 
-def _without_frames(demonstration: Demonstration) -> Demonstration:
-    return Demonstration(
-        embodiment=demonstration.embodiment,
-        fps=demonstration.fps,
-        qpos=demonstration.qpos[:1].copy(),
-        action=demonstration.action[:1].copy(),
-        scene=demonstration.scene,
-    )
+def _check_same(first: Header, other: Header, where: str) -> None:
+    for what in ("embodiment", "fps"):
+        ours, theirs = getattr(first, what), getattr(other, what)
+        if ours != theirs:
+            raise CEIError(f"{where}: {what} is {theirs} but the dataset's is {ours}.")
+    if not _same_scene(first.scene, other.scene):
+        raise CEIError(f"{where}: base, cameras or workspace differ from episode 0; use one dataset a scene.")
+    for key in sorted(first.features.keys() | other.features.keys()):
+        expected, got = (found.features.get(key, {}).get("shape") for found in (first, other))
+        if expected != got:
+            raise CEIError(f"{where}: {key} has shape {got} but the dataset's is {expected}.")
 
 
 def _same_scene(a: Scene, b: Scene) -> bool:

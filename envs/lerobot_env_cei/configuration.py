@@ -12,6 +12,7 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE, OBS_STR
 
+from cei_converters.environment import check_arguments
 from cei_converters.locate import locate_metadata
 from cei_converters.metadata import Metadata
 from cei_envs import environment_id, environment_ids
@@ -73,6 +74,7 @@ class CEIEnvConfig(EnvConfig):
         if self.augment is None:
             self.augment = recorded is None or recorded.provenance.source is not None
         self._recorded = {} if recorded is None else recorded.environment.kwargs
+        check_arguments(self.gym_id, self._recorded)
         self._augmentation = self.clouds or _recorded_clouds(recorded)
         task, name = self.task.split("-", 1)
         entry = cast(type[CEIEnv], load_env_creator(TASKS[task][0]))

@@ -24,6 +24,9 @@ class DP3Config(PreTrainedConfig):
         use_colours: look at the colours, too.
         points: how many of the cloud's first points to look at; None for all. In farthest-point order, as CEI-Gym's are, the
             first are as well spread as all.
+        random_points: in training, look at as many points chosen at random, others each time.
+        state_noise: in training, standard deviation of noise on normalised states, one draw for all of a window's observations.
+            Joints say which of a few demonstrations it is; a policy that goes by them is lost where none was.
         cloud_channels: of the layers applied to each point; None for DP3's (64, 128, 256), with colours (64, 128, 256, 512).
         cloud_features, state_channels: of the encoders.
         size: of the UNet, one of `SIZES`, unless `down_dims` says it.
@@ -48,6 +51,8 @@ class DP3Config(PreTrainedConfig):
     cloud_key: str = "observation.point_cloud"
     use_colours: bool = False
     points: int | None = None
+    random_points: bool = False
+    state_noise: float = 0.0
     cloud_channels: tuple[int, ...] | None = None
     cloud_features: int = 64
     state_channels: tuple[int, int] = (64, 64)
@@ -89,6 +94,8 @@ class DP3Config(PreTrainedConfig):
             raise ValueError(f"policy.horizon={self.horizon} is no multiple of {factor}, which down_dims asks for.")
         if self.n_action_steps > (most := self.horizon - self.n_obs_steps + 1):
             raise ValueError(f"policy.n_action_steps={self.n_action_steps} is more than the {most} of the horizon.")
+        if self.state_noise < 0:
+            raise ValueError(f"policy.state_noise={self.state_noise} is less than 0.")
         if self.prediction_type not in ("sample", "epsilon"):
             raise ValueError(f"unknown policy.prediction_type {self.prediction_type!r}. Valid: sample, epsilon.")
 

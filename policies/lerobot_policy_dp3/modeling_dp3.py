@@ -70,7 +70,18 @@ class DP3Policy(PreTrainedPolicy):
         # Noise of its own for each step: LeRobot's data loader draws from the global generator too, but not when it resumes.
         random = torch.Generator(batch[ACTION].device)
         random.manual_seed((torch.initial_seed() + int(self.average.n_averaged)) % 2**63)
-        return self.model.compute_loss(batch, random), None
+        return self.model.compute_loss(self._perturbed(batch, random) if self.training else batch, random), None
+
+    def _perturbed(self, batch: dict[str, Tensor], random: torch.Generator) -> dict[str, Tensor]:
+        """What training makes of a batch; see `DP3Config.random_points` and `state_noise`."""
+        config, state, cloud = self.config, batch[OBS_STATE], batch[self.config.cloud_key]
+        if config.random_points:
+            chosen = torch.randperm(cloud.shape[-2], generator=random, device=cloud.device)[: config.points]
+            cloud = cloud[..., chosen, :]
+        if config.state_noise:
+            noise = torch.randn(state[:, :1].shape, generator=random, device=state.device, dtype=state.dtype)
+            state = state + config.state_noise * noise
+        return {**batch, OBS_STATE: state, config.cloud_key: cloud}
 
     @property
     def _acting(self) -> "DP3Model":

@@ -63,7 +63,8 @@ def _markdown(found: Found) -> str:
     first = next(iter(found.values()))
     lines += [
         "",
-        f"{len(first['successes'])} trials from seed {first['trials']['first_seed']} on, {first['demonstrations']} demonstrations.",
+        f"{len(first['successes'])} trials from seed {first['trials']['first_seed']} on. {first['demonstrations']} demonstrations "
+        f"of a scripted expert that varies {first['variation']:g} times as much as people do.",
     ]
     commits = ", ".join(sorted({str(result["commit"]) for result in found.values()}))
     return "\n".join([*lines, f"`-`: not run. Commit: {commits}."])

@@ -38,7 +38,9 @@ class Training:
     size: str = "small"  # Of the UNet: paper, simple or small.
     points: int | None = 256  # Of each cloud; default of the paper's size: all.
     cloud_channels: tuple[int, ...] = (32, 64, 128)  # Of the PointNet; the paper's: 64,128,256.
-    steps: int = 20000
+    random_points: bool = True  # See DP3Config; the paper has none of this and of
+    state_noise: float = 0.3  # noise, without which 50 demonstrations are learnt by heart.
+    steps: int = 10000
     batch_size: int = 64
     lr: float = 1e-3
     device: str = "cpu"
@@ -162,14 +164,13 @@ class Stages:
         return self._work / "trained" / f"{cell.task}-{cell.target}-{kind}-{cell.seed}"
 
     def losses(self, cell: PolicyCell) -> list[tuple[int, float]]:
-        """Step and loss, as its training's log has them."""
-        found = []
+        """Step and loss, as its training's log has them; of steps done again after a stop, the later ones."""
+        found: dict[float, float] = {}
         for line in self.trained(cell).with_suffix(".log").read_text().replace("\r", "\n").splitlines():
             if " loss:" in line and "updt_s:" in line:
                 words = dict(word.split(":", 1) for word in line.split(" step:")[-1].split() if ":" in word)
-                found.append((len(found), float(words["loss"])))
-        every = self._training.steps / max(1, len(found))
-        return [(round((i + 1) * every), loss) for i, loss in found]
+                found[float(words["epch"])] = float(words["loss"])  # steps are in thousands there
+        return [(round(self._training.steps * epoch / max(found)), found[epoch]) for epoch in sorted(found)]
 
     def _train(self, cell: PolicyCell) -> None:
         output, converted, t = self.trained(cell), self._converted(cell), self._training
@@ -183,6 +184,7 @@ class Stages:
                 *(f"--dataset.repo_id={_repo_id(converted)}", f"--dataset.root={converted}"),
                 *("--policy.type=dp3", f"--policy.size={t.size}", f"--policy.cloud_channels={list(t.cloud_channels)}"),
                 *([] if t.points is None else [f"--policy.points={t.points}"]),
+                *(f"--policy.random_points={str(t.random_points).lower()}", f"--policy.state_noise={t.state_noise}"),
                 *(f"--policy.optimizer_lr={t.lr}", f"--policy.device={t.device}", "--policy.push_to_hub=false"),
                 *(f"--policy.scheduler_warmup_steps={min(500, t.steps // 20)}", f"--batch_size={t.batch_size}"),
                 *(f"--steps={t.steps}", f"--save_freq={max(1, t.steps // 8)}", f"--log_freq={max(1, t.steps // 40)}"),
@@ -196,11 +198,10 @@ class Stages:
         import cei_gym  # noqa: F401  (registers the environments)
 
         demonstrations = DatasetReader(_repo_id(self._converted(cell)), self._converted(cell))
-        first = demonstrations.read(0).action
+        actions = demonstrations.read(0).action
         if cell.variant == "mean_action":
-            first = np.mean([demonstrations.read(i).action.mean(axis=0) for i in range(self._demonstrations)], axis=0)[
-                None
-            ]
+            means = [demonstrations.read(i).action.mean(axis=0) for i in range(self._demonstrations)]
+            actions = np.mean(means, axis=0, keepdims=True)
         assert demonstrations.metadata is not None
         environment = demonstrations.metadata.environment
         options = environment.kwargs | {"clouds": False, "max_episode_steps": self._trials.length}
@@ -210,7 +211,7 @@ class Stages:
             env.reset(seed=seed)
             t, over, success = 0, False, False
             while not over:
-                _, _, success, truncated, _ = env.step(first[min(t, len(first) - 1)].astype(np.float32))
+                _, _, success, truncated, _ = env.step(actions[min(t, len(actions) - 1)].astype(np.float32))
                 t, over = t + 1, success or truncated
             successes.append(bool(success))
         env.close()

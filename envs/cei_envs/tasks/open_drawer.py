@@ -39,8 +39,8 @@ class OpenDrawerEnv(CEIEnv):
     unreachable, timed out. Truncated after 400 steps.
 
     ### Start
-    `reset(seed=...)` draws the cabinet's place and joints (home, or `start_qpos`, plus 0.02 rad of noise); `options={"environment_state": ...,
-    "agent_pos": ...}` restores a recorded start exactly.
+    `reset(seed=...)` draws the cabinet's place and joints (home, or `start_qpos`, plus 0.02 rad of noise);
+    `options={"environment_state": ..., "agent_pos": ...}` restores a recorded start exactly.
 
     ### Arguments
     See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,

@@ -49,8 +49,8 @@ class PickCubeEnv(CEIEnv):
     steps.
 
     ### Start
-    `reset(seed=...)` draws cube and joints (home, or `start_qpos`, plus 0.02 rad of noise); `options={"environment_state": ...,
-    "agent_pos": ...}` restores a recorded start exactly.
+    `reset(seed=...)` draws cube and joints (home, or `start_qpos`, plus 0.02 rad of noise);
+    `options={"environment_state": ..., "agent_pos": ...}` restores a recorded start exactly.
 
     ### Arguments
     See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,

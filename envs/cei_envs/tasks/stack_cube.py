@@ -42,8 +42,8 @@ class StackCubeEnv(CEIEnv):
     pushed, dropped, not released, timed out. Truncated after 400 steps.
 
     ### Start
-    `reset(seed=...)` draws cubes and joints (home, or `start_qpos`, plus 0.02 rad of noise); `options={"environment_state": ...,
-    "agent_pos": ...}` restores a recorded start exactly.
+    `reset(seed=...)` draws cubes and joints (home, or `start_qpos`, plus 0.02 rad of noise);
+    `options={"environment_state": ..., "agent_pos": ...}` restores a recorded start exactly.
 
     ### Arguments
     See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,

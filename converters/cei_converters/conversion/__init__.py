@@ -1,0 +1,1 @@
+"""A conversion in shards: planned once, each shard converted anywhere in any order, put together, published by one rename."""

@@ -1,0 +1,161 @@
+"""One episode in, one converted episode out: reading, moving, verifying, encoding."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from cei_converters import calibration
+from cei_converters.columns import encode
+from cei_converters.conversion.config import ConvertConfig
+from cei_converters.conversion.shard import Converted
+from cei_converters.episodes import encode_episode
+from cei_converters.metadata import Environment, plain
+from cei_converters.options import parse_episodes, parse_pose
+from cei_converters.quality import check_reached
+from cei_converters.reader import DatasetReader
+from cei_converters.verify import Verifier, open_stage
+from cei_converters.workers import in_order
+from cei_converters.writer import Header
+from cei_gym.embodiment import load_embodiment
+from cei_gym.errors import CEIError
+from cei_gym.transfer import Transfer
+
+if TYPE_CHECKING:
+    from cei_gym.alignment import Basin
+
+# the frame-0 basin is chosen on this many episodes, spread over the dataset, however large it is
+FIT_EPISODES = 8
+
+
+class Converter:
+    """Converts the episodes of a dataset; a context manager that closes what it opened.
+
+    Attributes:
+        reader: of the dataset.
+        selected: episodes to convert.
+        transfer: what moves them; to be fitted first, by `fit` or `start_from`.
+
+    Raises:
+        CEIError: bad options or data.
+    """
+
+    def __init__(self, config: ConvertConfig) -> None:
+        self._config = config
+        T_world_base = parse_pose("--source_pose", config.source_pose)
+        calibrated = None if config.calibration is None else calibration.load_calibration(config.calibration)
+        if calibrated is not None and calibrated.T_world_base is not None and T_world_base is not None:
+            raise CEIError("--source_pose and T_world_base of --calibration are the same thing; give one.")
+        self.reader = DatasetReader(
+            config.dataset.repo_id,
+            config.dataset.root,
+            embodiment=config.source,
+            T_world_base=T_world_base,
+            calibration=calibrated,
+        )
+        self.selected = self.reader.select(parse_episodes(config.episodes))
+        pose = parse_pose("--target_pose", config.target_pose)
+        self.transfer = Transfer(
+            self.reader.embodiment,
+            load_embodiment(config.target),
+            config.transfer,
+            config.solver,
+            config.init,
+            config.contact,
+            config.clouds,
+            pose,
+        )
+        self.environment = _environment(self.reader, config.target)
+        self._opened = contextlib.ExitStack()
+        self._verifier = None
+        if config.verify.enabled:
+            base = self.reader.scene.T_world_base if pose is None else pose
+            stage = open_stage(self.reader.repo_id, self.environment, config.target, base)
+            self._opened.enter_context(stage)
+            self._verifier = Verifier(self.transfer, stage, config.verify, config.allow_unreachable)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
+
+    def fit(self) -> None:
+        """Choose where trajectories start, on a few episodes."""
+        spread = sorted({round(i) for i in np.linspace(0, len(self.selected) - 1, FIT_EPISODES)})
+        with one_thread():
+            self.transfer.fit([self.reader.read(self.selected[i], colours=False) for i in spread])
+
+    def start_from(self, finalists: "Sequence[Basin]") -> None:
+        """Take what `fit` found elsewhere."""
+        if finalists:
+            self.transfer.start_from(finalists)
+        else:  # the manual baseline looks at one episode, and quickly
+            self.transfer.fit([self.reader.read(self.selected[0], colours=False)])
+
+    def convert(self, positions: Sequence[int], threads: int) -> Iterator[Converted]:
+        """Converted episodes, in order.
+
+        Args:
+            positions: which of the selected.
+            threads: episodes that are moved at the same time; one where they are verified, as a simulation is for one thread.
+
+        Raises:
+            CEIError: an episode cannot be read, or the target cannot reach it.
+        """
+        with one_thread():
+            yield from in_order(self._convert, positions, 1 if self._verifier is not None else threads)
+
+    def _convert(self, position: int) -> Converted:
+        config, index = self._config, self.selected[position]
+        recorded = self.reader.read(index, colours=config.clouds.colours)
+        mode = position % config.init.modes  # motions take turns: a dataset is an even mixture
+        if self._verifier is None:
+            moved, report = self.transfer(recorded, mode, clouds=not config.dry_run)
+            verdict = None
+        else:
+            moved, report, verdict = self._verifier(recorded, mode)
+        summary = report.summary() | ({"mode": mode} if config.init.modes > 1 else {})
+        entry = {"episode": index, "frames": len(moved), **summary}
+        record = {**self.reader.record(index), "source_episode": index}
+        for of_the_source in ("verified", "source_frames"):
+            record.pop(of_the_source, None)
+        if verdict is not None:
+            record["verified"] = verdict.record()
+        source_frames = None if moved.source_frames is None else moved.source_frames.tolist()
+        if source_frames is not None:
+            record["source_frames"] = source_frames
+        frames = {"pad_distance_mm": report.pad_distance_mm, "normal_angle_deg": report.normal_angle_deg}
+        outcome = {
+            "entry": entry,
+            "residuals": {"episode": index, **frames},
+            "record": {**record, "alignment": summary},
+            "verdict": verdict,
+            "mode": mode,
+            "start_qpos": moved.qpos[0],
+        }
+        header = Header.of(moved)
+        kept = not config.dry_run and not (verdict is not None and verdict.dropped)
+        if kept and not config.allow_unreachable:
+            check_reached(config.target, [entry])
+        encoded = encode_episode(encode(moved), header.features, moved.task) if kept else None
+        return Converted(plain(outcome), header, encoded)
+
+
+def one_thread() -> contextlib.AbstractContextManager:
+    """BLAS keeps to one: its own would spin on the cores that our workers have, waiting for the next product of a few thousand
+    points."""
+    from threadpoolctl import threadpool_limits
+
+    return threadpool_limits(1, user_api="blas")
+
+
+def _environment(reader: DatasetReader, target: str) -> Environment:
+    """The source's environment with the robot exchanged; it still starts at that robot's home."""
+    known = reader.metadata.environment if reader.metadata is not None else Environment()
+    source = reader.embodiment.name
+    if known.id is None or not known.id.endswith(source):
+        return Environment()
+    kwargs = {name: value for name, value in known.kwargs.items() if name != "start_qpos"}
+    return Environment(known.id.removesuffix(source) + target, kwargs)

@@ -1,0 +1,156 @@
+"""Converted episodes on disk, before they are part of a dataset: one folder a shard, whole or not at all."""
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import draccus
+import numpy as np
+import pyarrow as pa
+
+from cei_converters.episodes import EncodedEpisode
+from cei_converters.metadata import plain
+from cei_converters.writer import Header
+
+_FRAMES, _EPISODES, _PROGRESS = "frames.arrow", "episodes.json", "progress"
+
+
+@dataclass(frozen=True)
+class Converted:
+    """A converted episode.
+
+    Attributes:
+        outcome: JSON types: `entry` (for the table; its `episode` is the index in the source), `record` (for `meta/cei.json`),
+            `residuals`, `verdict` or None, `mode`, `start_qpos`.
+        header: what it shares with the others.
+        encoded: what is stored; None if it is left out.
+    """
+
+    outcome: dict[str, Any]
+    header: Header
+    encoded: EncodedEpisode | None
+
+
+class ShardWriter:
+    """Context manager that writes one shard; the folder appears when the block ends well.
+
+    Args:
+        folder: of the shard, which must not exist.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._partial = folder.with_name(f".{folder.name}-{os.getpid()}")
+        self._file: pa.RecordBatchFileWriter | None = None
+        self._header: Header | None = None
+        self._episodes: list[dict[str, Any]] = []
+        self._frames = 0
+
+    def __enter__(self) -> "ShardWriter":
+        self._partial.mkdir(parents=True)
+        return self
+
+    def add(self, converted: Converted) -> None:
+        """Append an episode."""
+        self._header = self._header or converted.header
+        stored: dict[str, Any] = {"outcome": converted.outcome, "rows": None}
+        if (encoded := converted.encoded) is not None:
+            if self._file is None:
+                self._file = pa.ipc.new_file(self._partial / _FRAMES, encoded.table.schema)
+            (batch,) = encoded.table.combine_chunks().to_batches()
+            self._file.write_batch(batch)
+            statistics = {
+                key: {name: (value.tolist(), str(value.dtype)) for name, value in stats.items()}
+                for key, stats in encoded.statistics.items()
+            }
+            stored |= {"rows": batch.num_rows, "task": encoded.task, "statistics": statistics}
+        self._episodes.append(stored)
+        self._frames += converted.outcome["entry"]["frames"]
+        (self._partial / _PROGRESS).write_text(str(self._frames))
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        try:
+            if self._file is not None:
+                self._file.close()
+            if kind is None:
+                assert self._header is not None
+                found = {"header": plain(self._header), "episodes": self._episodes, "sha256": _sha256(self._partial)}
+                (self._partial / _EPISODES).write_text(json.dumps(found))
+                try:
+                    self._partial.rename(self._folder)
+                except OSError:
+                    if not self._folder.exists():  # else another worker, thought lost, was faster
+                        raise
+        finally:
+            shutil.rmtree(self._partial, ignore_errors=True)
+
+
+class Shard:
+    """A finished shard.
+
+    Args:
+        folder: of the shard.
+
+    Raises:
+        ValueError: it is damaged, or there is none.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        try:
+            found = json.loads((folder / _EPISODES).read_text())
+            if found["sha256"] != _sha256(folder):
+                raise ValueError(f"{folder} is damaged.")
+            for feature in found["header"]["features"].values():
+                feature["shape"] = tuple(feature["shape"])
+            self.header: Header = draccus.decode(Header, found["header"])
+        except (OSError, KeyError, TypeError, ValueError, draccus.utils.DraccusException) as error:
+            raise ValueError(f"{folder} is no finished shard.") from error
+        self._episodes = found["episodes"]
+
+    @property
+    def outcomes(self) -> list[dict[str, Any]]:
+        """One an episode, dropped ones included."""
+        return [stored["outcome"] for stored in self._episodes]
+
+    def __iter__(self) -> Iterator[Converted]:
+        batches = iter(())
+        if (self._folder / _FRAMES).exists():
+            file = pa.ipc.open_file(pa.memory_map(str(self._folder / _FRAMES)))
+            batches = (file.get_batch(i) for i in range(file.num_record_batches))
+        for stored in self._episodes:
+            encoded = None
+            if stored["rows"] is not None:
+                statistics = {
+                    key: {name: np.array(value, dtype) for name, (value, dtype) in stats.items()}
+                    for key, stats in stored["statistics"].items()
+                }
+                encoded = EncodedEpisode(pa.Table.from_batches([next(batches)]), statistics, stored["task"])
+            yield Converted(stored["outcome"], self.header, encoded)
+
+
+def frames_done(folder: Path) -> int:
+    """Frames of unfinished shards in a folder, for progress."""
+    done = 0
+    for path in folder.glob(f".*/{_PROGRESS}"):
+        with contextlib.suppress(OSError, ValueError):
+            done += int(path.read_text())
+    return done
+
+
+def unfinished(folder: Path) -> list[int]:
+    """Processes that write shards in a folder, or did."""
+    return [int(path.name.rpartition("-")[2]) for path in folder.glob(".*-*")]
+
+
+def _sha256(folder: Path) -> str | None:
+    if not (folder / _FRAMES).exists():
+        return None
+    with (folder / _FRAMES).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,280 @@
+"""Conversions that are interrupted, and go on."""
+
+import contextlib
+import json
+import multiprocessing
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import killed
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from cei_converters import convert
+from cei_converters.provenance import fingerprint
+
+KILLS = 30
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("resume") / "source"
+    killed.write_source(root)
+    return root
+
+
+@pytest.fixture(scope="module")
+def whole(source: Path) -> Path:
+    """What an uninterrupted run makes of it."""
+    root = source.with_name("whole")
+    assert convert.main(killed.arguments(source, root)) == 0
+    return root
+
+
+@pytest.fixture(scope="module")
+def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[list[str]], Any]]:
+    """Starts `cei-convert` in a process that has imported everything; it has a `log`."""
+    log = tmp_path_factory.mktemp("killed") / "log"
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["killed"])
+
+    def start(args: list[str]) -> Any:
+        process: Any = context.Process(target=killed.run, args=(args, log))
+        process.log = log
+        process.start()
+        return process
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CEI_WARM", "1")
+        patch.setenv("PYTHONPATH", str(Path(killed.__file__).parent))  # the server's own, for its preloads
+        start(["--help"]).join()
+        yield start
+
+
+def same(one: Path, other: Path) -> None:
+    """Whether datasets are the same but for when and how they were made."""
+    files = [sorted(p.relative_to(root) for p in root.rglob("*") if p.is_file()) for root in (one, other)]
+    assert files[0] == files[1]
+    for file in files[0]:
+        a, b = one / file, other / file
+        if file.suffix == ".parquet":
+            assert pq.read_table(a).equals(pq.read_table(b)), file
+        elif file.suffix == ".json":
+            contents = [json.loads(path.read_text()) for path in (a, b)]
+            for content in contents:
+                for name in ("date", "command"):
+                    content.get("provenance", {}).pop(name, None)
+            assert contents[0] == contents[1], file
+
+
+def siblings(root: Path) -> list[str]:
+    return sorted(path.name for path in root.parent.iterdir() if root.name in path.name)
+
+
+def test_killed_at_any_moment_and_resumed_it_makes_the_same_dataset(
+    source: Path, whole: Path, start: Callable, tmp_path: Path
+) -> None:
+    before, random = fingerprint(source), np.random.default_rng(0)
+    began = time.perf_counter()
+    process = start(killed.arguments(source, tmp_path / "timed"))
+    process.join()
+    lasts_s = time.perf_counter() - began
+    assert process.exitcode == 0
+    stages = set()
+    for i in range(KILLS):
+        root = tmp_path / f"out{i}"
+        process = start(killed.arguments(source, root))
+        process.join(random.uniform(0, lasts_s))
+        process.kill()
+        process.join()
+        folder = root.with_name(f".{root.name}.partial")
+        if not root.exists():  # else it was finished before
+            stages.add(sum(1 for _ in folder.glob("shards/0*")) if (folder / "plan.json").exists() else -1)
+        process = start(killed.arguments(source, root, "--resume"))
+        process.join()
+        assert process.exitcode == 0, process.log.read_text()
+        assert siblings(root) == [root.name]
+        same(root, whole)
+        shutil.rmtree(root)
+    assert len(stages) > 2, "kills should fall before, between and after shards"
+    assert fingerprint(source) == before
+
+
+def test_workers_make_the_same_dataset(source: Path, whole: Path, tmp_path: Path) -> None:
+    assert convert.main([*killed.arguments(source, tmp_path / "out"), "--workers=4", "--shard_episodes=2"]) == 0
+    same(tmp_path / "out", whole)
+
+
+@pytest.mark.parametrize("victim", ["worker", "parent"])
+def test_where_one_of_many_processes_is_killed_what_is_done_is_kept(
+    source: Path, whole: Path, tmp_path: Path, victim: str
+) -> None:
+    root = tmp_path / "out"
+    args = [*killed.arguments(source, root), "--workers=4"]
+    command = [sys.executable, "-m", "cei_converters.convert", *args]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    shards = root.with_name(f".{root.name}.partial") / "shards"
+    while process.poll() is None and not list(shards.glob("0*")):
+        time.sleep(0.01)
+    while process.poll() is None:
+        workers = [int(path.name.rpartition("-")[2]) for path in shards.glob(".*-*")]
+        for pid in workers if victim == "worker" else [process.pid]:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        time.sleep(0.01)
+    assert process.stderr is not None
+    if victim == "worker":
+        assert process.returncode == 1
+        kept, error = process.stderr.read().splitlines()
+        assert kept == f"What is done is kept in {shards.parent}: the same command with --resume goes on."
+        assert error.startswith("error: a worker was killed, maybe for want of memory; go on with --resume")
+    assert not root.exists()
+    assert convert.main([*args, "--resume"]) == 0  # while workers of a killed parent may still be there
+    same(root, whole)
+    assert siblings(root) == ["out"]
+    left = [1]
+    while left:  # no process stays behind
+        time.sleep(0.1)
+        lines = subprocess.run(
+            ["ps", "-eo", "pid,args"], capture_output=True, text=True, check=True
+        ).stdout.splitlines()
+        left = [line for line in lines if str(root) in line]
+
+
+@pytest.mark.skipif("CEI_RAY" not in os.environ, reason="minutes on busy cores, as Ray's workers are niced: make ray")
+def test_ray_makes_the_same_dataset(source: Path, whole: Path, tmp_path: Path) -> None:
+    args = killed.arguments(source, tmp_path / "out", "--executor=ray", "--shard_episodes=3")
+    args.remove("--workers=1")
+    command = [sys.executable, "-m", "cei_converters.convert", *args]
+    env = os.environ | {"RAY_AUTH_MODE": "disabled"}
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env=env, timeout=900)
+    same(tmp_path / "out", whole)
+
+
+SBATCH = """#!/bin/sh
+for file; do :; done
+n=$(ls "$QUEUE" | wc -l)
+cp "$file" "$QUEUE/$n"
+echo "$@" >"$QUEUE.options.$n"
+echo Submitted batch job $n
+"""
+SRUN = """#!/bin/sh
+while [ "${1#-}" != "$1" ]; do [ "$1" = -n ] && shift; shift; done
+exec "$@"
+"""
+
+
+def test_slurm_makes_the_same_dataset(
+    source: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """With commands that stand for Slurm's: jobs wait in a folder, and run when `sbatch` has long returned."""
+    queue, commands, root = tmp_path / "queue", tmp_path / "commands", tmp_path / "out"
+    args = [*killed.arguments(source, root, "--shard_episodes=2"), "--executor=slurm"]
+    refused(args, capsys, "--executor=slurm needs --slurm.partition.")
+    args += ["--slurm.partition=cpu", "--slurm.mem_gb=3"]
+    refused(args, capsys, "there is no sbatch here; run this where jobs are submitted.")
+    queue.mkdir()
+    commands.mkdir()
+    for name, text in (("sbatch", SBATCH), ("srun", SRUN), ("scontrol", "#!/bin/sh\necho here\n")):
+        (commands / name).write_text(text)
+        (commands / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{commands}:{os.environ['PATH']}")
+    monkeypatch.setenv("QUEUE", str(queue))
+    assert convert.main(args) == 0
+    assert f"Submitted 3 shards to Slurm; job 2 then makes {root}." in capsys.readouterr().out
+    assert not root.exists()
+    jobs = [path.read_text() for path in sorted(queue.iterdir())]
+    arrays = [re.findall(r"#SBATCH --array=(\S+)", job) for job in jobs]
+    assert arrays[0] == ["0-2%1"]
+    assert "--dependency=afterany:0" in (tmp_path / "queue.options.2").read_text()
+    for number, job in enumerate(jobs):
+        assert "#SBATCH --partition=cpu" in job
+        for task in range(3 if number == 0 else 1):
+            env = os.environ | {"SLURM_ARRAY_TASK_ID": str(task), "SLURM_NODELIST": "here"}
+            ran = subprocess.run(["bash", str(queue / str(number))], capture_output=True, text=True, env=env)
+            assert ran.returncode == 0, ran.stderr
+    same(root, whole)
+    assert siblings(root) == ["out", "out.slurm"]
+
+
+def refused(args: list[str], capsys: pytest.CaptureFixture, message: str) -> None:
+    capsys.readouterr()
+    assert convert.main(args) in (1, 2)
+    printed = capsys.readouterr().err
+    assert printed.startswith("error: ")
+    assert printed.count("\n") == 1
+    assert message in printed
+
+
+def test_what_was_begun_is_neither_mixed_up_nor_lost(
+    source: Path, whole: Path, start: Callable, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    mine = tmp_path / "source"
+    shutil.copytree(source, mine)
+    root = tmp_path / "out"
+    args = killed.arguments(mine, root)
+    shards = tmp_path / ".out.partial/shards"
+    process = start(args)
+    while not list(shards.glob("0*")):
+        time.sleep(0.002)
+    os.kill(process.pid, signal.SIGSTOP)
+    refused(args, capsys, f"another cei-convert is making {root}")
+    refused([*args, "--resume"], capsys, f"another cei-convert is making {root}")
+    process.kill()
+    process.join()
+    refused(args, capsys, f"a conversion to {root} was begun and not finished; go on with --resume, or remove")
+    refused([*args, "--resume", "--clouds.points=512"], capsys, "--clouds.points was 1024, now it is 512; give what")
+    data = next(mine.glob("data/*/*.parquet"))
+    before = data.read_bytes()
+    data.write_bytes(before + b" ")
+    refused([*args, "--resume"], capsys, "me/pick has changed since the conversion began")
+    data.write_bytes(before)
+    frames = next(shards.glob("0*")) / "frames.arrow"
+    frames.write_bytes(frames.read_bytes()[:-1])  # made again
+    assert convert.main([*args, "--resume", "--workers=1", "--shard_episodes=3"]) == 0
+    same(root, whole)
+    capsys.readouterr()
+    assert convert.main([*args, "--resume"]) == 0
+    assert f"{root} is finished; nothing is left to do." in capsys.readouterr().out
+    refused(args, capsys, f"{root} already exists")
+    other = ["--target=UR5e-Inspire" if arg.startswith("--target=") else arg for arg in args]
+    refused([*other, "--resume"], capsys, f"{root} already exists and is no dataset of UR5e-Inspire")
+
+
+def test_what_is_wrong_in_a_workers_episode_is_told(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    args = [arg for arg in killed.arguments(source, tmp_path / "out", "--workers=4") if arg != "--allow_unreachable"]
+    refused([*args, "--transfer.unreachable_mm=0.1"], capsys, "UR5e-PandaGripper cannot reach episode")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_and_room_is_all_it_needs(
+    source: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=700k", "none", disk], capture_output=True).returncode:
+        pytest.skip("mounting a small disk takes more rights")
+    try:
+        args = killed.arguments(source, disk / "out")
+        assert convert.main(args) == 1
+        kept, error = capsys.readouterr().err.splitlines()
+        assert kept.startswith("What is done is kept in ")
+        assert error.startswith("error: ")
+        assert "No space left on device" in error
+        assert not (disk / "out").exists()
+        subprocess.run(["mount", "-o", "remount,size=20m", disk], check=True)
+        assert convert.main([*args, "--resume"]) == 0
+        same(disk / "out", whole)
+    finally:
+        subprocess.run(["umount", disk], check=True)
