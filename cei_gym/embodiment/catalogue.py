@@ -1,40 +1,68 @@
-"""The embodiments that ship: four arms x five end-effectors, each one YAML beside this file."""
+"""Embodiments by name: every arm with every end-effector, each one YAML, those that ship and those of your own."""
 
+import os
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 from cei_gym.embodiment.embodiment import Embodiment, build_embodiment
+from cei_gym.embodiment.resources import SCHEME
 from cei_gym.embodiment.spec import ArmSpec, EndEffectorSpec, load_spec
-from cei_gym.errors import unknown
+from cei_gym.errors import CEIError, unknown
 
 ARMS = ("UR5e", "IIWA", "Kinova3", "Panda")
-END_EFFECTORS = ("FourierRight", "Inspire", "FourierLeft", "RobotiqThreeFinger", "PandaGripper")
+"""Those that ship."""
 
-_FOLDER = Path(__file__).parent / "specifications"
+END_EFFECTORS = ("FourierRight", "Inspire", "FourierLeft", "RobotiqThreeFinger", "PandaGripper")
+"""Those that ship."""
+
+FOLDERS = "CEI_GYM_EMBODIMENTS"
+"""Environment variable with folders of your own embodiments, separated as in PATH; each has `arms` and `end_effectors`."""
+
+_SHIPPED = Path(__file__).parent / "specifications"
+
+
+def arm_names() -> list[str]:
+    """Those that ship, then your own."""
+    return [*ARMS, *_own("arms")]
+
+
+def end_effector_names() -> list[str]:
+    """Those that ship, then your own."""
+    return [*END_EFFECTORS, *_own("end_effectors")]
 
 
 def embodiment_names() -> list[str]:
-    """All `<Arm>-<EndEffector>` names of the catalogue."""
-    return [f"{arm}-{end_effector}" for arm in ARMS for end_effector in END_EFFECTORS]
+    """All `<Arm>-<EndEffector>` names."""
+    return [f"{arm}-{end_effector}" for arm in arm_names() for end_effector in end_effector_names()]
 
 
 def load_arm(name: str) -> ArmSpec:
-    """Specification of a catalogued arm."""
-    if name not in ARMS:
-        raise unknown("arm", name, ARMS)
-    return load_spec(ArmSpec, _FOLDER / "arms" / f"{name}.yaml")
+    """Specification of an arm.
+
+    Raises:
+        CEIError: no such name (the message lists the valid ones), or its YAML is wrong.
+    """
+    if name not in arm_names():
+        raise unknown("arm", name, arm_names())
+    return _load(ArmSpec, "arms", name)
 
 
 def load_end_effector(name: str) -> EndEffectorSpec:
-    """Specification of a catalogued end-effector."""
-    if name not in END_EFFECTORS:
-        raise unknown("end-effector", name, END_EFFECTORS)
-    return load_spec(EndEffectorSpec, _FOLDER / "end_effectors" / f"{name}.yaml")
+    """Specification of an end-effector.
+
+    Raises:
+        CEIError: no such name (the message lists the valid ones), or its YAML is wrong.
+    """
+    if name not in end_effector_names():
+        raise unknown("end-effector", name, end_effector_names())
+    return _load(EndEffectorSpec, "end_effectors", name)
 
 
 @cache
 def load_embodiment(name: str) -> Embodiment:
-    """Build a catalogued embodiment (compiled once a process; treat it as read-only).
+    """Build an embodiment (compiled once a process; treat it as read-only).
 
     Raises:
         CEIError: no such name (the message lists the valid ones), or its description is not installed.
@@ -43,3 +71,26 @@ def load_embodiment(name: str) -> Embodiment:
         raise unknown("embodiment", name, embodiment_names())
     arm, end_effector = name.split("-")
     return build_embodiment(load_arm(arm), load_end_effector(end_effector))
+
+
+def _own(kind: str) -> list[str]:
+    return [path.stem for path in _own_files(kind)]
+
+
+def _own_files(kind: str) -> Iterator[Path]:
+    for folder in filter(None, os.environ.get(FOLDERS, "").split(os.pathsep)):
+        if not Path(folder).is_dir():
+            raise CEIError(f"{FOLDERS}: no such folder: {folder}.")
+        yield from sorted(Path(folder, kind).glob("*.yaml"))
+
+
+def _load[Spec: (ArmSpec, EndEffectorSpec)](cls: type[Spec], kind: str, name: str) -> Spec:
+    files = [path for path in (_SHIPPED / kind / f"{name}.yaml", *_own_files(kind)) if path.stem == name and path.is_file()]
+    if len(files) > 1:
+        raise CEIError(f"{name} is described twice, in {files[0]} and {files[1]}; rename one.")
+    spec = load_spec(cls, files[0])
+    if spec.name != name or "-" in name:
+        raise CEIError(f"{files[0]}: its name is {spec.name!r}; it should be that of the file, without a hyphen.")
+    if spec.description.startswith(SCHEME):
+        return spec
+    return replace(spec, description=str(files[0].parent / spec.description))

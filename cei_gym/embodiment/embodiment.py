@@ -141,7 +141,8 @@ def build_embodiment(
     max_velocity: dict[str, float] = {}
     if arm is not None:
         description = load_description(*resolve(arm.description, relative_to))
-        spec, flange = description.spec, description.spec.body(arm.mount_body)
+        spec = _subtree(arm, description)
+        flange = spec.body(arm.mount_body)
         if flange is None:
             raise unknown(f"mount_body of {arm.name}", arm.mount_body, [b.name for b in spec.bodies])
         couplings |= description.couplings
@@ -165,6 +166,33 @@ def build_embodiment(
     except ValueError as error:
         raise CEIError(f"{name}: MuJoCo cannot compile it: {one_line(error)}") from error
     return _from_model(name, arm, end_effector, model, couplings, max_velocity)
+
+
+def _subtree(arm: ArmSpec, description: Description) -> mujoco.MjSpec:
+    """The description, or the part of it that is the arm: of a humanoid, say."""
+    spec = description.spec
+    if arm.joints:
+        names = [joint.name for joint in spec.joints]
+        for joint in arm.joints:
+            if joint not in names:
+                raise unknown(f"joint in joints of {arm.name}", joint, names)
+        held = {joint.name for joint in spec.joints} - set(arm.joints)
+        for element in [*spec.actuators, *spec.equalities]:
+            named = {element.target} if isinstance(element, mujoco.MjsActuator) else {element.name1, element.name2}
+            if named & held:
+                spec.delete(element)
+        for joint in spec.joints:
+            if joint.name in held:
+                spec.delete(joint)
+    if not arm.root_body:
+        return spec
+    root = spec.body(arm.root_body)
+    if root is None:
+        raise unknown(f"root_body of {arm.name}", arm.root_body, [b.name for b in spec.bodies])
+    whole = mujoco.MjSpec()
+    root.pos, root.quat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    whole.worldbody.add_frame().attach_body(root, "", "")
+    return whole
 
 
 def _attach(flange: mujoco.MjsBody, spec: EndEffectorSpec, description: Description) -> None:

@@ -75,6 +75,8 @@ class ArmSpec:
 
     Attributes:
         mount_body: the flange.
+        root_body: subtree that is the arm, its first frame the base; empty means all of the description.
+        joints: those of the description that are the arm's; others are held where they are drawn; empty means all.
         inertia_groups: first and last group of the geoms that have mass, where the description leaves that to the file
             that includes it.
         max_velocity: largest speed of joints, rad/s or m/s; the others have their URDF's, or a default.
@@ -86,6 +88,8 @@ class ArmSpec:
     mount_body: str
     home: dict[str, float]
     max_velocity: dict[str, float] = field(default_factory=dict)
+    root_body: str = ""
+    joints: list[str] = field(default_factory=list)
     inertia_groups: list[int] = field(default_factory=list)
     simulator_name: str = ""
     physics: list[PhysicsException] = field(default_factory=list)

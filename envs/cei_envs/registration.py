@@ -18,21 +18,17 @@ def environment_id(task: str, embodiment: str) -> str:
 def environment_ids() -> list[str]:
     """All environments that this package registers."""
     # Importing cei_gym registers the environments, for which this module must be complete.
-    from cei_gym.embodiment import embodiment_names
+    from cei_gym.embodiment import ARMS, END_EFFECTORS
 
-    return [environment_id(task, name) for task in TASKS for name in embodiment_names()]
+    # robosuite has no others
+    robots = [f"{arm}-{end_effector}" for arm in ARMS for end_effector in END_EFFECTORS]
+    return [environment_id(task, robot) for task in TASKS for robot in robots]
 
 
 def register() -> None:
     """Register every environment, once; called by `import cei_gym`."""
-    from cei_gym.embodiment import embodiment_names
-
-    for task, (entry_point, steps) in TASKS.items():
-        for name in embodiment_names():
-            if environment_id(task, name) not in gym.registry:
-                gym.register(
-                    environment_id(task, name),
-                    entry_point,
-                    max_episode_steps=steps,
-                    kwargs={"embodiment": name},
-                )
+    for name in environment_ids():
+        if name not in gym.registry:
+            _, task, robot = name.split("-", 2)
+            entry_point, steps = TASKS[task]
+            gym.register(name, entry_point, max_episode_steps=steps, kwargs={"embodiment": robot})

@@ -40,7 +40,7 @@ class Training:
     cloud_channels: tuple[int, ...] = (32, 64, 128)  # Of the PointNet; the paper's: 64,128,256.
     random_points: bool = True  # See DP3Config; the paper has none of this and of
     state_noise: float = 0.3  # noise, without which 50 demonstrations are learnt by heart.
-    steps: int = 10000
+    steps: int = 7000
     batch_size: int = 64
     lr: float = 1e-3
     device: str = "cpu"
