@@ -58,6 +58,7 @@ class Demonstration:
         environment_state: (T, k) float64 state of the task's objects, or None.
         environment_state_names: k names, with units.
         index: the episode's index in the dataset that it came from.
+        figures: how well it could be read, where that is in question, such as `ik_position_mm`.
         source_frames: (T,) which frames of that episode these are, where they are not all of it in turn; else None.
     """
 
@@ -73,6 +74,7 @@ class Demonstration:
     environment_state: np.ndarray | None = None
     environment_state_names: tuple[str, ...] = ()
     index: int = 0
+    figures: Mapping[str, float] = field(default_factory=dict)
     source_frames: np.ndarray | None = None
 
     def __post_init__(self) -> None:

@@ -63,7 +63,7 @@ def rows(folder: Path, table: str) -> list[dict[str, str]]:
 
 def test_a_cell_that_fails_is_named_and_leaves_the_others_intact(folder: Path) -> None:
     *progress, error, summary = (folder / "first.txt").read_text().splitlines()
-    assert error.startswith(f"error: {BROKEN}: FileExistsError")
+    assert error.startswith(f"error: {BROKEN}: NotADirectoryError")
     assert summary == "error: 1 failed, see above; the same command runs them again."
     assert [line.split(":")[0] for line in progress] == [RECORDING, SOURCE_CELL, *CELLS]
 

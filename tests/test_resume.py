@@ -121,6 +121,13 @@ def test_where_one_of_many_processes_is_killed_what_is_done_is_kept(
     root = tmp_path / "out"
     args = [*killed.arguments(source, root), "--workers=4"]
     command = [sys.executable, "-m", "cei_converters.convert", *args]
+    command = [
+        "bash",
+        "-c",
+        'trap "" INT; exec "$@"',
+        "-",
+        *command,
+    ]  # as shells have it for what runs in the background
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     shards = root.with_name(f".{root.name}.partial") / "shards"
     while process.poll() is None and not list(shards.glob("0*")):
@@ -243,8 +250,10 @@ def test_what_was_begun_is_neither_mixed_up_nor_lost(
     assert convert.main([*args, "--resume", "--workers=1", "--shard_episodes=3"]) == 0
     same(root, whole)
     capsys.readouterr()
+    shards.mkdir(parents=True)  # as if killed as soon as it was finished
     assert convert.main([*args, "--resume"]) == 0
     assert f"{root} is finished; nothing is left to do." in capsys.readouterr().out
+    assert siblings(root) == [root.name]
     refused(args, capsys, f"{root} already exists")
     other = ["--target=UR5e-Inspire" if arg.startswith("--target=") else arg for arg in args]
     refused([*other, "--resume"], capsys, f"{root} already exists and is no dataset of UR5e-Inspire")

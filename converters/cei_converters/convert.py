@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cei_converters import calibration
+from cei_converters import calibration, joint_map, pose
 from cei_converters.cli import run
 from cei_converters.conversion.config import ConvertConfig, check_options
 from cei_converters.quality import check_reached, print_table
@@ -16,10 +16,9 @@ from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
     from cei_converters.metadata import Provenance
-    from cei_converters.reader import DatasetReader
+    from cei_converters.source import Source as Recorded
 
-EXAMPLE = (
-    """example:
+EXAMPLE = """example:
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa
   cei-convert --dataset.repo_id=me/pick_panda --dataset.root=data/pick_panda --target=IIWA-Inspire \\
       --episodes=0,3,5 --dry_run
@@ -27,9 +26,7 @@ EXAMPLE = (
   cei-convert --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --calibration=cameras.yaml \\
       --target=IIWA-Inspire --new_repo_id=me/real_iiwa
 
-"""
-    + calibration.FORMAT
-)
+""" + "\n\n".join((calibration.FORMAT, joint_map.FORMAT, pose.FORMAT))
 
 
 def convert(config: ConvertConfig) -> dict[str, Any]:
@@ -49,7 +46,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.executors import submit_slurm, warm_up
     from cei_converters.conversion.plan import Plan, absolute
     from cei_converters.conversion.workers import ShardTask, convert_shards, processes_for
-    from cei_converters.conversion.workplace import Workplace
+    from cei_converters.conversion.workplace import Workplace, tidy
     from cei_converters.metadata import Metadata
     from cei_converters.progress import progress_bar
     from cei_converters.result import check_json_path, write_json
@@ -58,6 +55,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     if config.resume and (root := _new_root(config)).exists():
         if Metadata.load(root).embodiment != config.target:
             raise CEIError(f"{root} already exists and is no dataset of {config.target}; choose another folder.")
+        tidy(root)
         print(f"{root} is finished; nothing is left to do.")
         return {"root": str(root), "repo_id": config.new_repo_id, "dry_run": False}
     with contextlib.ExitStack() as stack:
@@ -159,7 +157,7 @@ def _new_root(config: ConvertConfig) -> Path:
     return Path(config.new_root) if config.new_root is not None else default_root(str(config.new_repo_id))
 
 
-def _about_cameras(reader: "DatasetReader") -> str:
+def _about_cameras(reader: "Recorded") -> str:
     """One line: what becomes of the dataset's cameras."""
     if reader.depth_cameras:
         clouds = f"Clouds are made from the depth of {', '.join(reader.depth_cameras)}"
@@ -172,15 +170,16 @@ def _about_cameras(reader: "DatasetReader") -> str:
     return f"{clouds}; passed through untouched, so they still show the source robot: {', '.join(reader.cameras)}."
 
 
-def _provenance(config: ConvertConfig, reader: "DatasetReader") -> "Provenance":
+def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
     from cei_converters.card import source_license
+    from cei_converters.joint_map import load_joint_map
     from cei_converters.metadata import Source
     from cei_converters.provenance import collect, fingerprint
 
     source = Source(
         repo_id=reader.repo_id,
         embodiment=reader.embodiment.name,
-        root_name=reader.root.name if config.dataset.root else None,
+        root_name=Path(config.dataset.root).name if config.dataset.root else None,
         revision=_revision(reader.root) if config.dataset.root is None else None,
         fingerprint=fingerprint(reader.root),
         license=source_license(reader.root),
@@ -190,6 +189,7 @@ def _provenance(config: ConvertConfig, reader: "DatasetReader") -> "Provenance":
         "target": config.target,
         "target_pose": config.target_pose,
         **({"calibration": Path(config.calibration).name} if config.calibration else {}),
+        **({"joint_map": load_joint_map(config.joint_map)} if config.joint_map else {}),
         "episodes": config.episodes,
         "allow_unreachable": config.allow_unreachable,
         "init": config.init,

@@ -8,14 +8,10 @@ from cei_converters.metadata import METADATA_PATH
 from cei_gym.errors import CEIError, one_line
 
 INFO_PATH = "meta/info.json"
-_V21_TO_V30 = (
-    "python -m lerobot.scripts.convert_dataset_v21_to_v30 --repo-id={repo_id} --root={root} --push-to-hub=false"
-)
-_V20_TO_V21 = "python -m lerobot.datasets.v21.convert_dataset_v20_to_v21 --repo-id={repo_id}"
 
 
 def locate(repo_id: str, root: str | Path | None, revision: str | None = None) -> Path:
-    """Folder of a v3.0 dataset: `root`, else LeRobot's cache, else downloaded from the hub.
+    """Folder of a v3.0 dataset: `root`, else LeRobot's cache, else downloaded from the hub; of an older one, its v3.0 copy.
 
     Raises:
         CEIError: there is none, or it is of another version.
@@ -29,8 +25,7 @@ def locate(repo_id: str, root: str | Path | None, revision: str | None = None) -
             )
     else:
         folder = _cached_or_downloaded(repo_id, revision)
-    _check_version(folder, repo_id)
-    return folder
+    return _as_v30(folder)
 
 
 def locate_metadata(dataset: str) -> Path:
@@ -65,18 +60,21 @@ def _cached_or_downloaded(repo_id: str, revision: str | None) -> Path:
     if (HF_LEROBOT_HOME / repo_id / INFO_PATH).is_file():
         return HF_LEROBOT_HOME / repo_id
     from huggingface_hub import snapshot_download
+    from huggingface_hub.errors import RevisionNotFoundError
     from lerobot.datasets.dataset_metadata import CODEBASE_VERSION
 
+    def download(revision: str) -> Path:
+        patterns = ["meta/*", "data/*", "videos/*", "README.md"]
+        cache = {"cache_dir": HF_LEROBOT_HUB_CACHE, "allow_patterns": patterns}
+        return Path(snapshot_download(repo_id, repo_type="dataset", revision=revision, **cache))
+
     try:
-        return Path(
-            snapshot_download(
-                repo_id,
-                repo_type="dataset",
-                revision=revision or CODEBASE_VERSION,
-                cache_dir=HF_LEROBOT_HUB_CACHE,
-                allow_patterns=["meta/*", "data/*", "videos/*", "README.md"],
-            )
-        )
+        try:
+            return download(revision or CODEBASE_VERSION)
+        except RevisionNotFoundError:
+            if revision is not None:
+                raise
+            return download("main")  # of an older format
     except Exception as error:  # network, authorisation, unknown names: the hub's client has no common class
         raise CEIError(
             f"dataset {repo_id!r} is neither in {HF_LEROBOT_HOME} nor could it be fetched from the hub "
@@ -99,17 +97,12 @@ def read_info(root: Path) -> dict:
     return info
 
 
-def _check_version(root: Path, repo_id: str) -> None:
+def _as_v30(root: Path) -> Path:
     version = str(read_info(root).get("codebase_version", "unknown"))
     if version == "v3.0":
-        return
-    upgrade = _V21_TO_V30.format(repo_id=repo_id, root=root)
-    if version == "v2.1":
-        raise CEIError(f"{root} is a v2.1 dataset, v3.0 is needed; convert it with: {upgrade}")
-    if version == "v2.0":
-        first = _V20_TO_V21.format(repo_id=repo_id)
-        raise CEIError(
-            f"{root} is a v2.0 dataset, v3.0 is needed; convert it to v2.1 with LeRobot 0.3.3 ({first}), "
-            f"then with: {upgrade}"
-        )
-    raise CEIError(f"{root} has codebase_version {version!r}, v3.0 is needed.")
+        return root
+    from cei_converters import legacy
+
+    if version not in legacy.VERSIONS:
+        raise CEIError(f"{root} has codebase_version {version!r}; v3.0, {' and '.join(legacy.VERSIONS)} are read.")
+    return legacy.upgrade(root)

@@ -1,6 +1,6 @@
 """Read a LeRobot v3.0 dataset as demonstrations, one episode at a time."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +12,15 @@ from cei_converters.cameras import Pictures, find_clip, read_pictures
 from cei_converters.columns import decode_array, read_columns
 from cei_converters.decoding import decode_frames, decode_pictures
 from cei_converters.depth import camera_name, check_depth_feature, image_depth_m, video_depth_m
+from cei_converters.joint_map import BoundJointMap, JointMap, bind
 from cei_converters.locate import locate
 from cei_converters.opening import choose_embodiment, load_lerobot_metadata, load_metadata
-from cei_gym.demonstration import Camera, Demonstration, Scene
+from cei_converters.source import Source, scene_without_metadata
+from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.errors import CEIError
 
-# how far outside its range a joint may be read before its unit must be wrong
-UNIT_SLACK = {"rad": np.pi, "m": 0.5}
-WRONG_UNIT = {"rad": "degrees; convert to rad", "m": "millimetres or percent; convert to m"}
-# stands in for the workspace of a dataset that does not say: about any arm's reach
-DEFAULT_WORKSPACE_M = np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
 
-
-class DatasetReader:
+class DatasetReader(Source):
     """A checked dataset of one embodiment.
 
     Memory holds one episode at a time.
@@ -35,13 +31,7 @@ class DatasetReader:
         embodiment: catalogue name; needed only where the dataset has no `meta/cei.json`.
         T_world_base: (4, 4) base pose for such a dataset; default: identity.
         calibration: of its depth cameras; it wins over `meta/cei.json`.
-
-    Attributes:
-        root, repo_id, embodiment, scene: of the dataset.
-        metadata: contents of `meta/cei.json`, or None.
-        depth_cameras: names of the cameras whose depth is read.
-        cameras: LeRobot's features of the others, whose pictures are not looked at.
-        ignored_features: keys of what is neither read nor a picture.
+        joint_map: of a dataset whose columns are not named after the embodiment's joints.
 
     Raises:
         CEIError: whatever is wrong with the dataset, in one line.
@@ -55,28 +45,43 @@ class DatasetReader:
         embodiment: str | None = None,
         T_world_base: np.ndarray | None = None,
         calibration: Calibration | None = None,
+        joint_map: JointMap | None = None,
     ) -> None:
         self.repo_id = repo_id
         self.root = locate(repo_id, root)
         self.metadata = load_metadata(self.root, embodiment)
         self.embodiment = choose_embodiment(self.root, self.metadata, embodiment)
-        if self.metadata is not None:
-            scene = self.metadata.scene
-        else:
-            if T_world_base is None and calibration is not None:
-                T_world_base = calibration.T_world_base
-            T_world_base = np.eye(4) if T_world_base is None else T_world_base
-            workspace_world = DEFAULT_WORKSPACE_M + T_world_base[:3, 3]
-            scene = Scene(T_world_base=T_world_base, cameras=(), workspace_world=workspace_world)
+        scene = self.metadata.scene if self.metadata is not None else scene_without_metadata(T_world_base, calibration)
         self.scene = scene if calibration is None else calibration.over(scene)
         self._meta = load_lerobot_metadata(repo_id, self.root)
+        self.fps = float(self._meta.fps)
+        self.has_clouds = schema.POINT_CLOUD in self._meta.features
+        self._map = joint_map
+        self._bound = self._bind(joint_map)
         self._check_features()
+
+    def _bind(self, joint_map: JointMap | None) -> BoundJointMap | None:
+        features = self._meta.features
+        self._state, self._action = schema.STATE, schema.ACTION
+        if joint_map is not None:
+            self._state, self._action = joint_map.state, joint_map.action
+        for key in filter(None, (self._state, self._action)):
+            if key not in features:
+                raise CEIError(f"{self.root.name} has no feature {key!r}. It has: {', '.join(features)}.")
+        if joint_map is None:
+            return None
+        (count,) = shape = tuple(features[self._state]["shape"])
+        if self._action is not None and tuple(features[self._action]["shape"]) != shape:
+            raise CEIError(
+                f"{self._action} has shape {features[self._action]['shape']} but {self._state} {shape}; "
+                "with action: null the joint map takes the next frame's state instead."
+            )
+        names = schema.feature_names(features[self._state])
+        return bind(joint_map, self.embodiment, names if len(names) == count else list(map(str, range(count))))
 
     def _check_features(self) -> None:
         features = self._meta.features
-        for key in (schema.STATE, schema.ACTION):
-            if key not in features:
-                raise CEIError(f"{self.root.name} has no feature {key!r}. It has: {', '.join(features)}.")
+        for key in (schema.STATE, schema.ACTION) if self._bound is None else ():
             schema.check_joint_names(schema.feature_names(features[key]), self.embodiment, key)
             if tuple(features[key]["shape"]) != (len(self.embodiment.joint_names),):
                 raise CEIError(
@@ -99,51 +104,16 @@ class DatasetReader:
             if key not in self._depth and tuple(features[key]["shape"]) == pairs.get(camera_name(key))
         }
         self.cameras = {key: features[key] for key in self._meta.camera_keys if key not in self._depth}
-        used = {schema.STATE, schema.ACTION, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._meta.camera_keys}
+        used = {self._state, self._action, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._meta.camera_keys}
         own = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
         self.ignored_features = [key for key in features if key not in used | own]
-
-    @property
-    def has_clouds(self) -> bool:
-        """Whether point clouds are recorded."""
-        return schema.POINT_CLOUD in self._meta.features
-
-    @property
-    def fps(self) -> float:
-        """Frames a second."""
-        return float(self._meta.fps)
 
     def __len__(self) -> int:
         return int(self._meta.total_episodes)
 
-    def __iter__(self) -> Iterator[Demonstration]:
-        return (self.read(index) for index in range(len(self)))
-
     def frames(self, index: int) -> int:
         """Frames of an episode, without reading it."""
         return int(self._meta.episodes[index]["length"])
-
-    def record(self, index: int) -> dict[str, Any]:
-        """What `meta/cei.json` keeps of an episode (seed, ...)."""
-        records = self.metadata.episodes if self.metadata is not None else ()
-        return dict(records[index]) if index < len(records) else {}
-
-    def select(self, episodes: Sequence[int] | None) -> list[int]:
-        """Checked episode indices; None selects all.
-
-        Raises:
-            CEIError: the selection is empty, repeats an index, or has one that the dataset lacks.
-        """
-        if episodes is None:
-            return list(range(len(self)))
-        if not episodes:
-            raise CEIError("the selection of episodes is empty.")
-        for index in episodes:
-            if not 0 <= index < len(self):
-                raise CEIError(f"{self.repo_id} has no episode {index}. Valid: 0 to {len(self) - 1}.")
-        if len(set(episodes)) != len(episodes):
-            raise CEIError(f"the selection of episodes repeats one: {', '.join(map(str, episodes))}.")
-        return list(episodes)
 
     def read(self, index: int, *, clouds: bool = True, colours: bool = True) -> Demonstration:
         """One episode.
@@ -158,7 +128,8 @@ class DatasetReader:
         """
         self.select([index])
         depth = self._depth if clouds else {}
-        keys = [schema.STATE, schema.ACTION, schema.ENVIRONMENT_STATE]
+        trajectories = [key for key in (self._state, self._action) if key is not None]
+        keys = [*trajectories, schema.ENVIRONMENT_STATE]
         rgb = self._rgb if clouds and colours else {}
         images = [key for key in rgb.values() if key in self._meta.image_keys]
         keys = [*keys, schema.POINT_CLOUD, "timestamp", *depth, *images] if clouds else keys
@@ -171,15 +142,16 @@ class DatasetReader:
             for key in table.column_names
             if key not in (*depth, *images)
         }
-        for key in (schema.STATE, schema.ACTION):
-            self._check_values(values[key], f"episode {index}", key)
+        action = None if self._action is None else values[self._action]
+        joints = self.joints(values[self._state], action, index, self._bound)
         environment_state = values.get(schema.ENVIRONMENT_STATE)
         tasks = self._meta.episodes[index]["tasks"]
         return Demonstration(
             embodiment=self.embodiment.name,
             fps=self.fps,
-            qpos=values[schema.STATE].astype(np.float64),
-            action=values[schema.ACTION].astype(np.float64),
+            qpos=joints.qpos,
+            action=joints.action,
+            figures=joints.figures,
             scene=self.scene,
             task=tasks[0] if tasks else "",
             depth_m={camera.name: self._depth_m(index, key, camera, table) for key, camera in depth.items()},
@@ -225,24 +197,3 @@ class DatasetReader:
         if depth_m.shape[1:] != (camera.height, camera.width):
             raise CEIError(f"{clip.path} has frames of {depth_m.shape[1:]}, not of {(camera.height, camera.width)}.")
         return depth_m
-
-    def _check_values(self, values: np.ndarray, where: str, key: str) -> None:
-        """values: (T, n) rad or m."""
-        body = self.embodiment
-        bad = np.argwhere(~np.isfinite(values))
-        if len(bad):
-            frame, joint = bad[0]
-            raise CEIError(
-                f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is {values[frame, joint]}; "
-                "leave the episode out with --episodes or record it again."
-            )
-        slack = np.array([UNIT_SLACK[unit] for unit in body.joint_units])
-        far = np.argwhere((values < body.lower - slack) | (values > body.upper + slack))
-        if len(far):
-            frame, joint = far[0]
-            unit = body.joint_units[joint]
-            limits = f"[{body.lower[joint]:.4g}, {body.upper[joint]:.4g}] {unit}"
-            raise CEIError(
-                f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is "
-                f"{values[frame, joint]:.4g} {unit}, far outside {limits}; it looks like {WRONG_UNIT[unit]}."
-            )

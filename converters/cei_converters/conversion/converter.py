@@ -11,10 +11,12 @@ from cei_converters.columns import encode
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.conversion.shard import Converted
 from cei_converters.episodes import encode_episode
+from cei_converters.joint_map import load_joint_map
 from cei_converters.metadata import Environment, plain
 from cei_converters.options import parse_episodes, parse_pose
 from cei_converters.quality import check_reached
-from cei_converters.reader import DatasetReader
+from cei_converters.source import Source
+from cei_converters.sources import open_source
 from cei_converters.verify import Verifier, open_stage
 from cei_converters.workers import in_order
 from cei_converters.writer import Header
@@ -47,12 +49,14 @@ class Converter:
         calibrated = None if config.calibration is None else calibration.load_calibration(config.calibration)
         if calibrated is not None and calibrated.T_world_base is not None and T_world_base is not None:
             raise CEIError("--source_pose and T_world_base of --calibration are the same thing; give one.")
-        self.reader = DatasetReader(
+        mapped = None if config.joint_map is None else load_joint_map(config.joint_map)
+        self.reader = open_source(
             config.dataset.repo_id,
             config.dataset.root,
-            embodiment=config.source,
+            embodiment=config.source or (mapped.embodiment if mapped is not None else None),
             T_world_base=T_world_base,
             calibration=calibrated,
+            joint_map=mapped,
         )
         self.selected = self.reader.select(parse_episodes(config.episodes))
         pose = parse_pose("--target_pose", config.target_pose)
@@ -117,7 +121,7 @@ class Converter:
         else:
             moved, report, verdict = self._verifier(recorded, mode)
         summary = report.summary() | ({"mode": mode} if config.init.modes > 1 else {})
-        entry = {"episode": index, "frames": len(moved), **summary}
+        entry = {"episode": index, "frames": len(moved), **recorded.figures, **summary}
         record = {**self.reader.record(index), "source_episode": index}
         for of_the_source in ("verified", "source_frames"):
             record.pop(of_the_source, None)
@@ -130,7 +134,7 @@ class Converter:
         outcome = {
             "entry": entry,
             "residuals": {"episode": index, **frames},
-            "record": {**record, "alignment": summary},
+            "record": {**record, **recorded.figures, "alignment": summary},
             "verdict": verdict,
             "mode": mode,
             "start_qpos": moved.qpos[0],
@@ -151,7 +155,7 @@ def one_thread() -> contextlib.AbstractContextManager:
     return threadpool_limits(1, user_api="blas")
 
 
-def _environment(reader: DatasetReader, target: str) -> Environment:
+def _environment(reader: Source, target: str) -> Environment:
     """The source's environment with the robot exchanged; it still starts at that robot's home."""
     known = reader.metadata.environment if reader.metadata is not None else Environment()
     source = reader.embodiment.name

@@ -82,8 +82,8 @@ class Plan:
 def absolute(config: ConvertConfig, dataset_root: Path) -> ConvertConfig:
     """Options that mean the same in other folders and on other machines with the same disks."""
     dataset = replace(config.dataset, root=str(dataset_root.resolve()))
-    calibration = None if config.calibration is None else str(Path(config.calibration).resolve())
-    return replace(config, dataset=dataset, calibration=calibration)
+    files = {name: getattr(config, name) for name in ("calibration", "joint_map")}
+    return replace(config, dataset=dataset, **{k: v and str(Path(v).resolve()) for k, v in files.items()})
 
 
 def _essential(config: ConvertConfig) -> ConvertConfig:

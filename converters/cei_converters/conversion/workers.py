@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import NoReturn
 
 from cei_converters.cli import quiet_libraries
 from cei_converters.conversion.converter import Converter
@@ -99,11 +100,15 @@ def _opened(path: Path) -> tuple[Converter, Plan]:
     return converter, plan
 
 
+class _WorkerLost(BaseException):
+    """Interrupts whatever the main thread waits in; no library takes it for its own."""
+
+
 @contextlib.contextmanager
 def _watching(place: Workplace, plan: Plan, done: Callable[[int], None], mortal: bool) -> Iterator[None]:
     """Report progress meanwhile, and stop where a worker dies, if they are `mortal`: a local pool would wait for it forever. Those of
     a cluster are looked after by it, and their process ids say nothing here."""
-    over, lost = threading.Event(), threading.Event()
+    over = threading.Event()
     frames = [sum(plan.frames[i] for i in positions) for positions in plan.shards]
 
     def watch() -> None:
@@ -111,23 +116,26 @@ def _watching(place: Workplace, plan: Plan, done: Callable[[int], None], mortal:
             whole = sum(frames[i] for i in range(len(frames)) if place.shard(i).exists())
             done(whole + frames_done(place.shards))
             if mortal and any(not _alive(pid) for pid in unfinished(place.shards)):
-                lost.set()
-                os.kill(os.getpid(), signal.SIGINT)
+                os.kill(os.getpid(), signal.SIGUSR1)  # not SIGINT: shells have their background jobs ignore it
                 return
 
+    def stop(_signal: int, _frame: object) -> NoReturn:
+        raise _WorkerLost
+
+    mortal = mortal and threading.current_thread() is threading.main_thread()  # no other gets signals
+    previous = signal.signal(signal.SIGUSR1, stop) if mortal else None
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
     try:
         yield
-    except KeyboardInterrupt:
-        if not lost.is_set():
-            raise
-        raise OSError(
-            "a worker was killed, maybe for want of memory; go on with --resume, and maybe fewer --workers."
-        ) from None
+    except _WorkerLost:
+        message = "a worker was killed, maybe for want of memory; go on with --resume, and maybe fewer --workers."
+        raise OSError(message) from None
     finally:
         over.set()
         watcher.join()
+        if mortal:
+            signal.signal(signal.SIGUSR1, previous)
 
 
 def _alive(pid: int) -> bool:

@@ -29,7 +29,7 @@ class Workplace:
     def __init__(self, root: Path, resume: bool) -> None:
         root = root.absolute()
         self.root, self._resume, self._kept, self._begun = root, resume, False, False
-        self.folder = root.parent / f".{root.name}.partial"
+        self.folder = _hidden(root)
         self.plan = self.folder / "plan.json"
         self.shards = self.folder / "shards"
         self.logs = self.folder / "logs"
@@ -121,6 +121,18 @@ class Workplace:
             for folder in self._new_folders:
                 with contextlib.suppress(OSError):  # not empty: the dataset is in it
                     folder.rmdir()
+
+
+def tidy(root: Path) -> None:
+    """Remove what is left beside a finished dataset, of a process that was killed as soon as it had published it."""
+    folder = _hidden(root.absolute())
+    if folder.exists():
+        with contextlib.suppress(Timeout), FileLock(folder / "lock", timeout=0):  # else it is about to do so itself
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _hidden(root: Path) -> Path:
+    return root.parent / f".{root.name}.partial"
 
 
 def _remove(path: Path) -> None:
