@@ -1,22 +1,16 @@
 """Binary Manual Specification (BMS), the paper's baseline (section VI-A, ablation study): no functional representation,
 but a tool frame that the arm carries along and a hand that only opens and closes."""
 
-from copy import copy
-
 import numpy as np
 
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional.representation import FunctionalRepresentation, sample_representation
+from cei_gym.kinematics.inverse import follow_link
 from cei_gym.kinematics.tree import KinematicTree
 
 _POINTS = 512  # enough for a pad's centroid to a millimetre
 _CLOSINGS = np.linspace(0.0, 1.0, 257)
-_STARTS = 8
-_SPREAD_RAD = 0.7
-_ITERATIONS = 50
-_CONVERGED_RAD = 1e-6
-_REACHED = 1e-3  # m and rad
 
 
 class ManualTool:
@@ -103,7 +97,7 @@ class ManualAlignment:
         """
         embodiment = self.target.embodiment
         T_flange = T_target_source @ self.source.pose(qpos_source) @ np.linalg.inv(self.target.T_flange_tool)
-        u = embodiment.coupled.reduce(self._follow(T_flange))
+        u = embodiment.coupled.reduce(follow_link(embodiment, self.target.flange, T_flange).qpos)
         closing = self.closing(self.source.aperture(qpos_source))[:, None]
         home, closed = (embodiment.coupled.reduce(pose) for pose in (embodiment.home, embodiment.closed))
         hand = embodiment.coupled.independent >= embodiment.n_arm
@@ -130,42 +124,6 @@ class ManualAlignment:
         step = np.maximum(possible[before] - possible[after], np.finfo(float).tiny)
         share = (possible[before] - wanted) / step
         return _CLOSINGS[before] + share * (_CLOSINGS[after] - _CLOSINGS[before])
-
-    def _follow(self, T_flange: np.ndarray) -> np.ndarray:
-        """(T, n) joint positions that bring the target's flange to poses (T, 4, 4), from the start that does it best."""
-        embodiment, rng = self.target.embodiment, np.random.default_rng(0)
-        spread = _SPREAD_RAD * (np.arange(len(embodiment.home)) < embodiment.n_arm)
-        best, least = embodiment.home[None], np.inf
-        for attempt in range(_STARTS):
-            start = embodiment.home + (attempt > 0) * spread * rng.standard_normal(len(spread))
-            qpos, error = self._follow_from(np.clip(start, embodiment.lower, embodiment.upper), T_flange)
-            if error.mean() < least:
-                best, least = qpos, error.mean()
-            if error.max() < _REACHED:
-                break
-        return best
-
-    def _follow_from(self, start: np.ndarray, T_flange: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        import mink  # takes half a second to import
-
-        embodiment = self.target.embodiment
-        model = copy(embodiment.model)  # with the embodiment's limits, which may be tighter than the description's
-        model.jnt_limited[:], model.jnt_range[:] = 1, np.stack([embodiment.lower, embodiment.upper], axis=1)
-        configuration, limits = mink.Configuration(model, start), [mink.ConfigurationLimit(model)]
-        task = mink.FrameTask(
-            model.body(self.target.flange).name, "body", position_cost=1.0, orientation_cost=0.5, lm_damping=1.0
-        )
-        qpos, error = [], []
-        for T in T_flange:
-            task.set_target(mink.SE3.from_matrix(T))
-            for _ in range(_ITERATIONS):
-                step = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=1e-9, limits=limits)
-                configuration.integrate_inplace(step, 1.0)
-                if np.abs(step).max() < _CONVERGED_RAD:
-                    break
-            qpos.append(configuration.q.copy())
-            error.append(np.linalg.norm(task.compute_error(configuration)))
-        return np.array(qpos), np.array(error)
 
 
 def _first_group(representation: FunctionalRepresentation, T_links: np.ndarray) -> np.ndarray:

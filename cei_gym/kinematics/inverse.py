@@ -1,21 +1,21 @@
-"""Joints of an arm from poses of one of its links."""
+"""Inverse kinematics of a trajectory of one link, by mink."""
 
-from collections.abc import Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
-from cei_gym.kinematics.tree import KinematicTree
+from cei_gym.embodiment.embodiment import Embodiment
 
-_M_PER_RAD = 0.2  # how much an angle weighs: what it moves at a hand's distance
-_STARTS = 24
-_REACHED = 1e-6
+_STARTS = 8
+_SPREAD_RAD = 0.7
+_ITERATIONS = 50
+_CONVERGED_RAD = 1e-6
+_REACHED = 1e-3  # m and rad
 
 
-class Recovered(NamedTuple):
-    """Joints that put a link where it is wanted, as near as they can.
+class Followed(NamedTuple):
+    """Joints that bring a link along a trajectory, as near as limits let it.
 
     Attributes:
         qpos: (T, n) rad or m.
@@ -26,52 +26,50 @@ class Recovered(NamedTuple):
     position_m: np.ndarray
     angle_rad: np.ndarray
 
+    @property
+    def error(self) -> np.ndarray:
+        """(T,) both in one, m and rad."""
+        return np.hypot(self.position_m, self.angle_rad)
 
-def recover_arm(tree: KinematicTree, T_base_link: np.ndarray, link: int, qpos: np.ndarray, seed: int = 0) -> Recovered:
-    """Solve for the arm's joints frame by frame, each from the last; the first from home and, where that fails, from elsewhere.
+
+def follow_link(embodiment: Embodiment, link: int, T_base_link: np.ndarray) -> Followed:
+    """Follow a trajectory with a link that the arm carries, from the start that does it best.
+
+    Frame 0 starts from the home pose, or from one around it where the trajectory cannot be followed from there; the others each from
+    the last. Joints that do not move the link stay at home.
 
     Args:
-        tree: of the embodiment.
-        T_base_link: (T, 4, 4) wanted poses, in the base frame.
+        embodiment: the robot.
         link: index of the link.
-        qpos: (T, n) joints; those of the end-effector stay.
-        seed: of the starts.
+        T_base_link: (T, 4, 4) where it should be, in the base frame.
     """
-    body = tree.embodiment
-    n, lower, upper = body.n_arm, body.lower[: body.n_arm], body.upper[: body.n_arm]
-    qpos = qpos.copy()
-    starts: Sequence[np.ndarray] = (body.home[:n], *np.random.default_rng(seed).uniform(lower, upper, (_STARTS, n)))
-    errors = np.empty((len(qpos), 6))
-    for t, T in enumerate(T_base_link):
-        if t > 0:
-            starts = (qpos[t - 1, :n],)
-        best = np.inf
-        for start in starts:
-            found = _solve(tree, T, link, qpos[t], np.clip(start, lower, upper))
-            if found.cost < best:
-                best, qpos[t, :n], errors[t] = found.cost, found.x, found.fun
-            if best < _REACHED**2:
+    rng = np.random.default_rng(0)
+    spread = _SPREAD_RAD * (np.arange(len(embodiment.home)) < embodiment.n_arm)
+    found = []
+    for attempt in range(_STARTS):
+        start = embodiment.home + (attempt > 0) * spread * rng.standard_normal(len(spread))
+        found.append(_follow_from(embodiment, np.clip(start, embodiment.lower, embodiment.upper), link, T_base_link))
+        if found[-1].error.max() < _REACHED:
+            break
+    return min(found, key=lambda followed: followed.error.mean())
+
+
+def _follow_from(embodiment: Embodiment, start: np.ndarray, link: int, T_base_link: np.ndarray) -> Followed:
+    import mink  # takes half a second to import
+
+    model = copy(embodiment.model)  # with the embodiment's limits, which may be tighter than the description's
+    model.jnt_limited[:], model.jnt_range[:] = 1, np.stack([embodiment.lower, embodiment.upper], axis=1)
+    configuration, limits = mink.Configuration(model, start), [mink.ConfigurationLimit(model)]
+    task = mink.FrameTask(model.body(link).name, "body", position_cost=1.0, orientation_cost=0.5, lm_damping=1.0)
+    qpos, errors = [], []
+    for T in T_base_link:
+        task.set_target(mink.SE3.from_matrix(T))
+        for _ in range(_ITERATIONS):
+            step = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=1e-9, limits=limits)
+            configuration.integrate_inplace(step, 1.0)
+            if np.abs(step).max() < _CONVERGED_RAD:
                 break
-    return Recovered(qpos, np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1) / _M_PER_RAD)
-
-
-def _solve(tree: KinematicTree, T: np.ndarray, link: int, qpos: np.ndarray, start: np.ndarray):
-    n = len(start)
-    wanted, full = Rotation.from_matrix(T[:3, :3]), qpos.copy()
-    weights = np.repeat([1.0, _M_PER_RAD], 3)
-
-    def at(arm: np.ndarray) -> np.ndarray:
-        full[:n] = arm
-        return full
-
-    def error(arm: np.ndarray) -> np.ndarray:
-        now = tree.forward(at(arm))[link]
-        angle = (Rotation.from_matrix(now[:3, :3]) * wanted.inv()).as_rotvec()
-        return np.concatenate([now[:3, 3] - T[:3, 3], angle]) * weights
-
-    def slope(arm: np.ndarray) -> np.ndarray:  # exact where the angle is 0
-        return tree.jacobian(at(arm), link, np.zeros(3))[:, :n] * weights[:, None]
-
-    options = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12, "max_nfev": 100}
-    bounds = (tree.embodiment.lower[:n], tree.embodiment.upper[:n])
-    return least_squares(error, start, slope, bounds, **options)  # pyright: ignore[reportArgumentType]
+        qpos.append(configuration.q.copy())
+        errors.append(task.compute_error(configuration))
+    position_m, angle_rad = np.linalg.norm(np.reshape(errors, (-1, 2, 3)), axis=2).T
+    return Followed(np.array(qpos), position_m, angle_rad)

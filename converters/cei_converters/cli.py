@@ -28,7 +28,8 @@ class SourceConfig:
     """The dataset that another was converted from, to show beside it."""
 
     repo_id: str | None = None  # Its name.
-    root: str | None = None  # Its folder.
+    root: str | None = None  # Its folder or file.
+    joint_map: str | None = None  # Its joint map, if it was converted with one.
 
 
 def option_types(config_cls: type, prefix: str = "") -> dict[str, object]:

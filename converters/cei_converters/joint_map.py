@@ -1,13 +1,13 @@
 """A joint map: which columns of a dataset are which joints of an embodiment, and in what unit."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cei_converters.pose import PoseMap
+from cei_converters.pose import PoseMap, Span
 from cei_gym.embodiment import Embodiment, load_spec
 from cei_gym.errors import CEIError, unknown
 
@@ -15,10 +15,11 @@ FORMAT = """a joint map (of a dataset whose columns are not named after an embod
   embodiment: Panda-PandaGripper  # --source may say it instead
   state: observation.state
   action: action  # absolute targets in the same columns; or null: the next frame's state
+  fps: 20  # of formats that do not say it
   joints:
     - joints: [joint1, joint2, joint3, joint4, joint5, joint6, joint7]  # or arm, or end_effector: its independent joints
       columns: {start: 0, end: 7}  # or a list of names or numbers
-      unit: deg  # rad (default), deg, m, mm, normalised, ticks
+      unit: deg  # or mm, normalised, ticks; default: rad or m, as the joint is
       sign: [1, 1, -1, 1, 1, 1, 1]  # or one for all
       offset: 0.1  # added after all else, rad or m
     - joints: [finger_joint1, finger_joint2]
@@ -28,7 +29,8 @@ FORMAT = """a joint map (of a dataset whose columns are not named after an embod
       limits: [0, 0.04]  # these, if not the embodiment's; rad or m
   fixed: {joint8: 0.5}  # joints that are not recorded, rad or m
   ignore: rest  # or a list of columns: so that none is overlooked"""
-_PER_SI = {"rad": 1.0, "deg": np.pi / 180, "m": 1.0, "mm": 1e-3}
+_SI = "si"
+_PER_SI = {_SI: 1.0, "rad": 1.0, "deg": np.pi / 180, "m": 1.0, "mm": 1e-3}
 _RANGED = ("normalised", "ticks")
 _REST = "rest"
 
@@ -38,8 +40,8 @@ class JointGroup:
     """Joints that are stored alike; see `FORMAT`."""
 
     joints: list[str] | str
-    columns: dict[str, int] | list[str]
-    unit: str = "rad"
+    columns: Span | list[str]
+    unit: str = _SI
     sign: list[float] | float = 1.0
     offset: list[float] | float = 0.0
     range: list[float] | None = None
@@ -54,6 +56,7 @@ class JointMap:
     embodiment: str | None = None
     state: str = "observation.state"
     action: str | None = "action"
+    fps: float | None = None
     pose: PoseMap | None = None
     fixed: dict[str, float] = field(default_factory=dict)
     ignore: list[str] | str = field(default_factory=list)
@@ -115,7 +118,12 @@ def bind(
     lower, upper = embodiment.independent_limits
     column = np.full(len(independent), -1)
     scale, offset = np.zeros(len(independent)), np.zeros(len(independent))
-    named = dict.fromkeys(_columns(joint_map.pose.columns, columns, where) if joint_map.pose else (), "pose")
+    posed = _columns(joint_map.pose.columns, columns, where) if joint_map.pose else []
+    if joint_map.pose:
+        joint_map.pose.check(len(posed), where)
+    if joint_map.fps is not None and not 0 < joint_map.fps < 10_000:
+        raise CEIError(f"{where}: fps should be above 0, not {joint_map.fps:g}.")
+    used = set(posed)
     for group in joint_map.joints:
         joints = _joints(group.joints, embodiment, where)
         chosen = _columns(group.columns, columns, where)
@@ -134,7 +142,7 @@ def bind(
                 raise CEIError(f"{where}: sign of {joint} should be 1 or -1, not {sign:g}.")
             factor, zero = _to_si(group, embodiment.joint_units[q], joint, (lower[u], upper[u]), where)
             column[u], scale[u], offset[u] = c, sign * factor, sign * zero + shift
-        named |= dict.fromkeys(chosen, "joints")
+        used |= set(chosen)
     for joint, value in joint_map.fixed.items():
         if joint not in independent:
             raise CEIError(f"{where}: fixed: {unknown('independent joint', joint, independent)}")
@@ -154,10 +162,9 @@ def bind(
         raise CEIError(
             f"{where}: {embodiment.name} also has {', '.join(missing)}; map them, or say where they are in fixed."
         )
-    _check_ignored(joint_map, columns, set(named), where)
+    _check_ignored(joint_map, columns, used, where)
     column[list(by_pose)] = 0
-    pose_columns = np.array(_columns(joint_map.pose.columns, columns, where) if joint_map.pose else [], int)
-    return BoundJointMap(embodiment, column, scale, offset, joint_map.pose, pose_columns)
+    return BoundJointMap(embodiment, column, scale, offset, joint_map.pose, np.array(posed, int))
 
 
 def _joints(joints: list[str] | str, embodiment: Embodiment, where: str) -> list[str]:
@@ -173,14 +180,14 @@ def _joints(joints: list[str] | str, embodiment: Embodiment, where: str) -> list
     ]
 
 
-def _columns(chosen: Mapping[str, int] | Sequence[str], columns: Sequence[str], where: str) -> list[int]:
+def _columns(chosen: Span | Sequence[str], columns: Sequence[str], where: str) -> list[int]:
     """Numbers of columns that are given as names, numbers or {start, end}."""
-    if isinstance(chosen, Mapping):
-        if set(chosen) != {"start", "end"} or not 0 <= chosen["start"] < chosen["end"] <= len(columns):
+    if isinstance(chosen, Span):
+        if not 0 <= chosen.start < chosen.end <= len(columns):
             raise CEIError(
-                f"{where}: columns {dict(chosen)} should be {{start: a, end: b}} with 0 <= a < b <= {len(columns)}."
+                f"{where}: columns {chosen.start} to {chosen.end}: it should be 0 <= start < end <= {len(columns)}."
             )
-        return list(range(chosen["start"], chosen["end"]))
+        return list(range(chosen.start, chosen.end))
     found = []
     for name in chosen:
         number = int(name) if name.isdecimal() else -1
@@ -213,7 +220,7 @@ def _to_si(group: JointGroup, si_unit: str, joint: str, limits: tuple[float, flo
         raise CEIError(f"{where}: {joint}: {unknown('unit', group.unit, (*_PER_SI, *_RANGED))}")
     if group.range is not None or group.limits is not None:
         raise CEIError(f"{where}: {joint}: range and limits are for {' and '.join(_RANGED)}, not for {group.unit}.")
-    if (group.unit in ("m", "mm")) != (si_unit == "m"):
+    if group.unit != _SI and (group.unit in ("m", "mm")) != (si_unit == "m"):
         raise CEIError(f"{where}: {joint} is in {si_unit}; its columns cannot be in {group.unit}.")
     return _PER_SI[group.unit], 0.0
 

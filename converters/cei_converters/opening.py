@@ -41,6 +41,19 @@ def choose_embodiment(root: Path, metadata: Metadata | None, given: str | None) 
     return load_embodiment(name)
 
 
+def embodiment_without_metadata(path: Path, given: str | None) -> Embodiment:
+    """The given embodiment, of a format that has no `meta/cei.json`.
+
+    Raises:
+        CEIError: none is given, or it is unknown.
+    """
+    if given is None:
+        raise CEIError(
+            f"{path} does not say which robot it is of; name it with --source=<Arm>-<EndEffector>, or in --joint_map."
+        )
+    return load_embodiment(given)
+
+
 def load_lerobot_metadata(repo_id: str, root: Path) -> Any:
     """LeRobot's own metadata, a `LeRobotDatasetMetadata`.
 

@@ -22,6 +22,14 @@ _PER_M = {"m": 1.0, "mm": 1e-3}
 
 
 @dataclass(frozen=True)
+class Span:
+    """Neighbouring columns, from `start` up to, but not with, `end`."""
+
+    start: int
+    end: int
+
+
+@dataclass(frozen=True)
 class Tool:
     """Pose of what is recorded, in its link's frame."""
 
@@ -33,7 +41,7 @@ class Tool:
 class PoseMap:
     """Where and how poses are stored; see `FORMAT`."""
 
-    columns: dict[str, int] | list[str]
+    columns: Span | list[str]
     rotation: str
     frame: str = "base"
     unit: str = "m"

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cei_converters.calibration import Calibration
+from cei_converters.cameras import Pictures
 from cei_converters.joint_map import BoundJointMap
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
-from cei_gym.kinematics import KinematicTree
-from cei_gym.kinematics.inverse import recover_arm
+from cei_gym.kinematics.inverse import follow_link
 
 if TYPE_CHECKING:
-    from cei_converters.cameras import Pictures
     from cei_converters.metadata import Metadata
 
 # how far outside its range a joint may be read before its unit must be wrong
@@ -97,13 +96,13 @@ class Source(ABC):
             CEIError: one is missing.
         """
 
-    def pictures(self, index: int) -> "Pictures":
+    def pictures(self, index: int) -> Pictures:
         """What an episode's RGB cameras saw, as it is stored.
 
         Raises:
             CEIError: a picture, a video or statistics are missing.
         """
-        raise NotImplementedError(f"{type(self).__name__} has no cameras")
+        return Pictures()
 
     def select(self, episodes: Sequence[int] | None) -> list[int]:
         """Checked episode indices; None selects all.
@@ -154,12 +153,13 @@ class Source(ABC):
         assert bound.pose is not None and self.embodiment.arm is not None
         link = self.embodiment.body_id(bound.pose.link or self.embodiment.arm.mount_body)
         T_base_link = bound.pose.T_base_link(state[:, bound.pose_columns], self.scene.T_world_base, where)
-        found = recover_arm(KinematicTree(self.embodiment), T_base_link, link, qpos)
+        found = follow_link(self.embodiment, link, T_base_link)
+        n_arm = self.embodiment.n_arm
         figures = {
             "ik_position_mm": float(1e3 * found.position_m.max()),
             "ik_angle_deg": float(np.degrees(found.angle_rad.max())),
         }
-        return found.qpos, figures
+        return np.column_stack([found.qpos[:, :n_arm], qpos[:, n_arm:]]), figures
 
     def _check_values(self, values: np.ndarray, where: str, key: str) -> None:
         """values: (T, n) rad or m."""
@@ -185,6 +185,22 @@ def _check_finite(values: np.ndarray, where: str, key: str, names: Sequence[str]
             f"{where}, frame {frame}, {names[column]}: {key} is {values[frame, column]}; "
             "leave the episode out with --episodes or record it again."
         )
+
+
+def check_cloud(cloud: np.ndarray, frames: int, where: str) -> np.ndarray:
+    """Checked (T, P, 3 or 6) float32 points, colours from 0-255 to [0, 1] where that is what they are.
+
+    Raises:
+        CEIError: it is of another shape.
+    """
+    if cloud.ndim != 3 or len(cloud) != frames or cloud.shape[2] not in (3, 6) or cloud.dtype.kind not in "fiu":
+        raise CEIError(
+            f"{where}: point clouds should be ({frames}, points, 3 or 6) numbers, not {cloud.shape} {cloud.dtype}."
+        )
+    cloud = cloud.astype(np.float32)
+    if cloud.shape[2] == 6 and np.nanmax(cloud[..., 3:], initial=0.0) > 1:
+        cloud[..., 3:] /= 255
+    return cloud
 
 
 def scene_without_metadata(T_world_base: np.ndarray | None, calibration: Calibration | None) -> Scene:

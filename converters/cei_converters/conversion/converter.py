@@ -11,7 +11,6 @@ from cei_converters.columns import encode
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.conversion.shard import Converted
 from cei_converters.episodes import encode_episode
-from cei_converters.joint_map import load_joint_map
 from cei_converters.metadata import Environment, plain
 from cei_converters.options import parse_episodes, parse_pose
 from cei_converters.quality import check_reached
@@ -49,14 +48,13 @@ class Converter:
         calibrated = None if config.calibration is None else calibration.load_calibration(config.calibration)
         if calibrated is not None and calibrated.T_world_base is not None and T_world_base is not None:
             raise CEIError("--source_pose and T_world_base of --calibration are the same thing; give one.")
-        mapped = None if config.joint_map is None else load_joint_map(config.joint_map)
         self.reader = open_source(
             config.dataset.repo_id,
             config.dataset.root,
-            embodiment=config.source or (mapped.embodiment if mapped is not None else None),
+            embodiment=config.source,
             T_world_base=T_world_base,
             calibration=calibrated,
-            joint_map=mapped,
+            joint_map=config.joint_map,
         )
         self.selected = self.reader.select(parse_episodes(config.episodes))
         pose = parse_pose("--target_pose", config.target_pose)

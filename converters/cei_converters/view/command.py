@@ -23,6 +23,7 @@ class ViewConfig:
 
     dataset: DatasetConfig
     source: SourceConfig = field(default_factory=SourceConfig)  # Shown beside it, with how far the pads are apart.
+    joint_map: str | None = None  # Of a dataset that was recorded elsewhere; see cei-convert --help.
     episode: int = 0  # Which episode of the dataset.
     rrd: str | None = None  # Recording to write instead of opening the viewer.
     sheet: str | None = None  # Contact sheet (PNG) to write instead of opening the viewer.
@@ -35,8 +36,8 @@ def view(config: ViewConfig) -> dict[str, Any]:
     Raises:
         CEIError: bad options or data, a file that exists, or a viewer without a display.
     """
-    from cei_converters.reader import DatasetReader
     from cei_converters.result import check_json_path, check_new, write_json
+    from cei_converters.sources import open_source
     from cei_converters.view.episode import load_view
 
     check_json_path(config.json)
@@ -46,10 +47,10 @@ def view(config: ViewConfig) -> dict[str, Any]:
         raise CEIError(
             "there is no display to open the viewer on; save --rrd=<file>.rrd or --sheet=<file>.png instead."
         )
-    reader = DatasetReader(config.dataset.repo_id, config.dataset.root)
+    reader = open_source(config.dataset.repo_id, config.dataset.root, joint_map=config.joint_map)
     source = None
     if config.source.repo_id is not None:
-        source = DatasetReader(config.source.repo_id, config.source.root)
+        source = open_source(config.source.repo_id, config.source.root, joint_map=config.source.joint_map)
     shown = load_view(reader, config.episode, source)
     if rrd is not None:
         from cei_converters.view.recording import save

@@ -14,7 +14,7 @@ from cei_gym.kinematics import KinematicTree
 from cei_gym.transfer import TransferOptions
 
 if TYPE_CHECKING:
-    from cei_converters.reader import DatasetReader
+    from cei_converters.source import Source
 
 RESIDUALS = {"pad_distance_mm": "mean pad distance (mm)", "normal_angle_deg": "mean angle between normals (deg)"}
 NORMAL_M = 0.015
@@ -110,7 +110,7 @@ class View:
         return (low + high) / 2 + distance_m * self.sides[-1].towards_eye(_VIEW_DIRECTION), (low + high) / 2
 
 
-def load_view(reader: "DatasetReader", index: int, source: "DatasetReader | None" = None) -> View:
+def load_view(reader: "Source", index: int, source: "Source | None" = None) -> View:
     """Read an episode, and what it was converted from if that is to be shown too.
 
     Args:
@@ -135,7 +135,7 @@ def load_view(reader: "DatasetReader", index: int, source: "DatasetReader | None
     return View((before, target), title, _residuals(before, target))
 
 
-def _origin(reader: "DatasetReader", index: int, length: int, source: "DatasetReader") -> tuple[int, np.ndarray]:
+def _origin(reader: "Source", index: int, length: int, source: "Source") -> tuple[int, np.ndarray]:
     """Episode of the source, and which of its frames each frame of an episode shows: all in turn if it does not say."""
     record = reader.record(index)
     source_index = record.get("source_episode", index)

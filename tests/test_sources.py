@@ -1,0 +1,307 @@
+"""Demonstrations in other formats: robomimic's HDF5, DemoGen's zarr with end-effector poses, LeRobot's v2.0 and v2.1."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import permutations
+from pathlib import Path
+
+import h5py
+import killed
+import numpy as np
+import pytest
+import yaml
+import zarr
+
+from cei_converters.joint_map import load_joint_map
+from cei_converters.sources import open_source
+from cei_gym.embodiment import load_embodiment
+from cei_gym.embodiment.meshes import visual_link_meshes
+from cei_gym.errors import CEIError
+from cei_gym.kinematics import KinematicTree
+from cei_gym.kinematics.inverse import follow_link
+from cei_gym.pointcloud.mask import RobotMask
+
+ROBOT = "Panda-PandaGripper"
+BODY = load_embodiment(ROBOT)
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SHARED = Path(__file__).parents[2] / "shared/datasets"
+EGG = SHARED / "demogen_egg.zarr"
+
+
+def path_of(frames: int, seed: int = 0) -> np.ndarray:
+    """(T, n) a random walk around home."""
+    steps = np.random.default_rng(seed).normal(0, 0.02, (frames, len(BODY.coupled.independent)))
+    u = BODY.coupled.reduce(BODY.home) + np.cumsum(steps, axis=0)
+    return BODY.coupled.expand(np.clip(u, *BODY.independent_limits))
+
+
+@pytest.fixture
+def robomimic(tmp_path: Path) -> Path:
+    path = tmp_path / "demo.hdf5"
+    with h5py.File(path, "w") as file:
+        data = file.create_group("data")
+        data.attrs["env_args"] = json.dumps(
+            {"env_name": "Lift", "env_kwargs": {"control_freq": 20, "robots": ["Panda"]}}
+        )
+        for i in (0, 2, 10):
+            qpos, obs = path_of(6 + i, seed=i), data.create_group(f"demo_{i}/obs")
+            obs["robot0_joint_pos"], obs["robot0_gripper_qpos"] = qpos[:, :7], qpos[:, 7:]
+            obs["object"] = np.full((len(qpos), 3), float(i))
+            obs["agentview_image"] = np.zeros((len(qpos), 4, 4, 3), np.uint8)
+            data[f"demo_{i}/actions"] = np.zeros((len(qpos), 7))
+    return path
+
+
+def test_robomimic_is_read_and_converted(robomimic: Path, tmp_path: Path) -> None:
+    source = open_source("lab/lift", robomimic, embodiment=ROBOT)
+    assert (len(source), source.fps, [source.frames(i) for i in range(3)]) == (3, 20.0, [6, 8, 16])
+    last = source.read(2)  # demo_10 comes after demo_2
+    np.testing.assert_array_equal(last.qpos, path_of(16, seed=10))
+    np.testing.assert_array_equal(last.action[:-1], last.qpos[1:])
+    assert last.task == "Lift" and last.environment_state is not None and (last.environment_state == 10).all()
+    assert source.ignored_features == ["agentview_image"]
+    from cei_converters import convert
+
+    args = [a for a in killed.arguments(robomimic, tmp_path / "out") if "repo_id=me/pick" not in a]
+    assert convert.main([*args, "--dataset.repo_id=lab/lift", f"--source={ROBOT}"]) == 0
+    made = open_source("me/out", tmp_path / "out")
+    assert len(made) == 3 and len(made.read(0)) == 6
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda f: f.pop("data"), "has no episodes: the group 'data' is missing or empty."),
+        (lambda f: f["data/demo_0"].pop("obs"), "demo_0, has no observations; make them with robomimic's"),
+        (lambda f: f["data/demo_0/obs"].pop("robot0_joint_pos"), "lacks obs/robot0_joint_pos; it has: agentview_image"),
+        (lambda f: f["data"].attrs.pop("env_args"), "does not say how many frames a second it has"),
+        (lambda f: f["data"].attrs.update(env_args="{"), "does not say how many frames a second it has"),
+    ],
+)
+def test_robomimic_without_what_is_needed_is_refused(robomimic: Path, edit: Callable, message: str) -> None:
+    with h5py.File(robomimic, "a") as file:
+        edit(file)
+    with pytest.raises(CEIError) as error:
+        open_source("lab/lift", robomimic, embodiment=ROBOT)
+    assert message in str(error.value)
+
+
+def test_robomimic_of_another_robot_another_file_or_none_is_refused(robomimic: Path, tmp_path: Path) -> None:
+    with pytest.raises(CEIError, match="has 9 joints but UR5e-Inspire has 18; choose another --source"):
+        open_source("lab/lift", robomimic, embodiment="UR5e-Inspire")
+    with pytest.raises(CEIError, match="does not say which robot it is of; name it with --source"):
+        open_source("lab/lift", robomimic)
+    with h5py.File(robomimic, "a") as file:  # another file's data are not read
+        del file["data/demo_0/obs/robot0_joint_pos"]
+        file["data/demo_0/obs/robot0_joint_pos"] = h5py.ExternalLink("secret.hdf5", "x")
+    with pytest.raises(CEIError, match="lacks obs/robot0_joint_pos"):
+        open_source("lab/lift", robomimic, embodiment=ROBOT)
+    robomimic.write_bytes(robomimic.read_bytes()[:1000])
+    with pytest.raises(CEIError, match="cannot be read as HDF5"):
+        open_source("lab/lift", robomimic, embodiment=ROBOT)
+
+
+def write_zarr(root: Path, state: np.ndarray, ends: list[int], **more: np.ndarray) -> None:
+    group = zarr.open_group(root, mode="w", zarr_format=2)
+    for name, values in {"data/state": state, "meta/episode_ends": np.array(ends), **more}.items():
+        group.create_array(name, data=values)
+
+
+POSE = """
+embodiment: Panda-PandaGripper
+fps: 10
+pose: {columns: {start: 0, end: %d}, rotation: %s, unit: mm, frame: world, link: right_hand, tool: {position: [0, 0, 0.1]}}
+joints: [{joints: [finger_joint1], columns: ["%d"], unit: normalised}]
+"""
+
+
+@pytest.mark.parametrize("rotation", ["quat_xyzw", "quat_wxyz", "rotvec", "euler_xyz", "rot6d"])
+def test_poses_become_the_joints_that_reach_them(rotation: str, tmp_path: Path) -> None:
+    from scipy.spatial.transform import Rotation
+
+    recorded = path_of(8)
+    T_world_base = np.eye(4)
+    T_world_base[:3, 3], T_world_base[:3, :3] = (0.3, -0.2, 0.8), Rotation.from_euler("z", 40, degrees=True).as_matrix()
+    tree, link = KinematicTree(BODY), BODY.body_id("right_hand")
+    T = T_world_base @ tree.forward(recorded)[:, link]
+    position_mm = 1e3 * (T[:, :3, 3] + 0.1 * T[:, :3, 2])
+    R = Rotation.from_matrix(T[:, :3, :3])
+    stored = {
+        "quat_xyzw": R.as_quat(),
+        "quat_wxyz": R.as_quat(scalar_first=True),
+        "rotvec": R.as_rotvec(),
+        "euler_xyz": R.as_euler("xyz"),
+        "rot6d": np.concatenate([T[:, :3, 0], T[:, :3, 1]], axis=1),
+    }[rotation]
+    root, path = tmp_path / "demo.zarr", tmp_path / "map.yaml"
+    write_zarr(root, np.column_stack([position_mm, stored, recorded[:, 7] / 0.04]), [8])
+    count = 3 + stored.shape[1]
+    path.write_text(POSE % (count, rotation, count))
+    read = open_source("lab/demo", root, joint_map=path, T_world_base=T_world_base).read(0)
+    np.testing.assert_allclose(tree.forward(read.qpos)[:, link], tree.forward(recorded)[:, link], atol=1e-6)
+    np.testing.assert_allclose(read.qpos[:, 7:], recorded[:, 7:], atol=1e-7)
+    assert read.figures["ik_position_mm"] < 1e-3 and read.figures["ik_angle_deg"] < 1e-3
+
+
+def test_a_pose_out_of_reach_is_reported(tmp_path: Path) -> None:
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, 0, 3] = 2.0
+    found = follow_link(BODY, BODY.body_id("right_hand"), T)
+    assert (found.position_m > 0.8).all()  # a Panda reaches 0.86 m
+    assert (found.qpos >= BODY.lower - 1e-9).all() and (found.qpos <= BODY.upper + 1e-9).all()
+
+
+def test_zarr_without_what_is_needed_is_refused(tmp_path: Path) -> None:
+    root, path = tmp_path / "demo.zarr", tmp_path / "map.yaml"
+    joints = {"joints": [{"joints": "arm", "columns": {"start": 0, "end": 7}}], "fixed": {"finger_joint1": 0.0}}
+    path.write_text(yaml.safe_dump(joints | {"embodiment": ROBOT, "fps": 10.0}))
+    write_zarr(root, path_of(6)[:, :7], [4, 6])
+    source = open_source("lab/demo", root, joint_map=path)
+    assert [len(d) for d in source] == [4, 2]
+    with pytest.raises(CEIError, match="does not say what its columns are; say it with --joint_map"):
+        open_source("lab/demo", root)
+    write_zarr(root, path_of(6)[:, :7], [4, 7])
+    with pytest.raises(CEIError, match="episode_ends should rise to the 6 frames"):
+        open_source("lab/demo", root, joint_map=path)
+    write_zarr(root, path_of(6)[:, :7], [6], **{"data/point_cloud": np.zeros((6, 5, 4), np.float32)})
+    with pytest.raises(CEIError, match=r"should be \(6, points, 3 or 6\) numbers"):
+        open_source("lab/demo", root, joint_map=path).read(0)
+    pickled = json.loads((root / "data/state/.zarray").read_text()) | {"dtype": "|O", "filters": [{"id": "pickle"}]}
+    (root / "data/state/.zarray").write_text(json.dumps(pickled))
+    with pytest.raises(CEIError, match="data/state"):
+        open_source("lab/demo", root, joint_map=path)
+
+
+@pytest.mark.skipif(not EGG.exists(), reason="needs ../shared/datasets")
+def test_the_eggs_joint_map_is_the_one_that_puts_the_robot_where_its_points_are(tmp_path: Path) -> None:
+    """Of six orders of the angles and four turns of the hand, none explains half as many of the other points."""
+    mapped = load_joint_map(EXAMPLES / "egg/joint_map.yaml")
+    assert mapped.pose is not None
+    mask, tree = RobotMask(visual_link_meshes(BODY.model), 0.01), KinematicTree(BODY)
+    state = zarr.open_group(EGG, mode="r")["data/state"][:35]
+
+    def share(pose) -> float:
+        """Of the points of the hand, those within 1 cm of the robot."""
+        path = tmp_path / "map.yaml"
+        from cei_converters.metadata import plain
+
+        path.write_text(yaml.safe_dump(plain(replace(mapped, pose=pose))))
+        demonstration = open_source("demogen/egg", EGG, joint_map=path).read(0)
+        assert demonstration.point_cloud_world is not None
+        near = []
+        for t in range(0, 35, 10):
+            points = demonstration.point_cloud_world[t, :, :3]
+            hand = points[points[:, 2] > state[t, 2] + 0.06]
+            near.append(mask(hand, tree.forward(demonstration.qpos[t])))
+        return float(np.concatenate(near).mean())
+
+    ours = share(mapped.pose)
+    others = [replace(mapped.pose, columns=["0", "1", "2", *order]) for order in permutations("345")]
+    turns = ([0, 1, 0, 0], [1, 0, 0, 0], [0.7071, 0, 0, 0.7071])
+    others += [replace(mapped.pose, tool=replace(mapped.pose.tool, quaternion_wxyz=list(turn))) for turn in turns]
+    shares = sorted(share(pose) for pose in others if pose != mapped.pose)
+    assert ours > 0.7
+    assert shares[-1] < ours - 0.15, shares
+
+
+@pytest.fixture(scope="module")
+def v21(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A v2.1 dataset, by hand: what LeRobot 0.1 to 0.3 wrote."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from cei_converters.schema import joint_feature_names
+
+    root = tmp_path_factory.mktemp("old") / "pick"
+    (root / "meta").mkdir(parents=True)
+    names, start = joint_feature_names(BODY), 0
+    feature = {"dtype": "float32", "shape": [9], "names": names}
+    own = {
+        key: {"dtype": "int64", "shape": [1], "names": None}
+        for key in ("frame_index", "episode_index", "index", "task_index")
+    }
+    features = {
+        "observation.state": feature,
+        "action": feature,
+        "timestamp": {"dtype": "float32", "shape": [1], "names": None},
+    }
+    for index in range(3):
+        qpos = path_of(6 + index, seed=index).astype(np.float32)
+        column = pa.FixedSizeListArray.from_arrays(pa.array(qpos.ravel()), 9)
+        count = np.arange(len(qpos))
+        table = {
+            "observation.state": column,
+            "action": column,
+            "timestamp": pa.array((count / 20).astype(np.float32)),
+            "frame_index": count,
+            "episode_index": np.full(len(qpos), index),
+            "index": start + count,
+            "task_index": np.zeros(len(qpos), int),
+        }
+        start += len(qpos)
+        path = root / f"data/chunk-000/episode_{index:06d}.parquet"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table(table), path)
+        with (root / "meta/episodes.jsonl").open("a") as file:
+            file.write(json.dumps({"episode_index": index, "tasks": ["pick"], "length": len(qpos)}) + "\n")
+    (root / "meta/tasks.jsonl").write_text(json.dumps({"task_index": 0, "task": "pick"}) + "\n")
+    info = {
+        "codebase_version": "v2.0",
+        "robot_type": "panda",
+        "total_episodes": 3,
+        "total_frames": start,
+        "total_tasks": 1,
+        "total_videos": 0,
+        "total_chunks": 1,
+        "chunks_size": 1000,
+        "fps": 20,
+        "splits": {"train": "0:3"},
+        "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
+        "video_path": None,
+        "features": features | own,
+    }
+    (root / "meta/info.json").write_text(json.dumps(info))
+    return root
+
+
+def test_older_formats_are_read_as_they_are_and_left_alone(
+    v21: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lerobot.utils import constants
+
+    from cei_converters.provenance import fingerprint
+
+    monkeypatch.setattr(constants, "HF_LEROBOT_HOME", tmp_path)
+    before = fingerprint(v21)
+    source = open_source("me/old", v21, embodiment=ROBOT)
+    for index, demonstration in enumerate(source):
+        np.testing.assert_array_equal(demonstration.qpos, path_of(6 + index, seed=index).astype(np.float32))
+        assert demonstration.task == "pick"
+    assert fingerprint(v21) == before
+    made = source.root
+    assert open_source("me/old", v21, embodiment=ROBOT).root == made  # once
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    dataset = LeRobotDataset("me/old", made)
+    assert len(dataset) == 21
+    np.testing.assert_allclose(
+        dataset.meta.stats["observation.state"]["mean"], np.concatenate([d.qpos for d in source]).mean(0)
+    )
+
+
+def test_an_old_dataset_that_is_damaged_is_refused(v21: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import shutil
+
+    from lerobot.utils import constants
+
+    monkeypatch.setattr(constants, "HF_LEROBOT_HOME", tmp_path / "home")
+    root = Path(shutil.copytree(v21, tmp_path / "broken"))
+    (root / "meta/tasks.jsonl").unlink()
+    with pytest.raises(CEIError, match="cannot be converted to v3"):
+        open_source("me/old", root, embodiment=ROBOT)
+    assert list((tmp_path / "home/upgraded").iterdir()) == []
+    info = json.loads((root / "meta/info.json").read_text())
+    (root / "meta/info.json").write_text(json.dumps(info | {"codebase_version": "v1.6"}))
+    with pytest.raises(CEIError, match="has codebase_version 'v1"):
+        open_source("me/old", root, embodiment=ROBOT)
