@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cei_converters import calibration
 from cei_converters.cli import run
 from cei_converters.conversion.config import ConvertConfig, check_options
+from cei_converters.gate import DROPPED, Gate, in_words
 from cei_converters.quality import check_reached, print_table
 from cei_converters.verify import Verdict, check_kept, sentence, summarise, without
 from cei_gym.errors import CEIError
@@ -24,6 +25,7 @@ EXAMPLE = (
   cei-convert --dataset.repo_id=me/pick_panda --dataset.root=data/pick_panda --target=IIWA-Inspire \\
       --episodes=0,3,5 --dry_run
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa --verify --verify.drop
+  cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa --min_quality=0.3 --flag=0.6
   cei-convert --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --calibration=cameras.yaml \\
       --target=IIWA-Inspire --new_repo_id=me/real_iiwa
 
@@ -37,10 +39,11 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
 
     Returns:
         The result: source, target, under `results` one entry an episode, under `residuals` the same frame by frame,
-        under `verify` what replaying showed, if asked for. Episodes that verification drops are in the last only.
+        under `verify` what replaying showed, if asked for, and under `gate` which episodes are dropped or flagged for their
+        quality, if asked for. Episodes that are dropped are in the last two only.
 
     Raises:
-        CEIError: bad options or data, an episode that the target cannot reach, or none that verification keeps.
+        CEIError: bad options or data, an episode that the target cannot reach, or none that is kept.
     """
     check_options(config)
 
@@ -101,12 +104,16 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         found = list(outcomes(place, plan))
         entries, residuals = ([outcome[name] for outcome in found] for name in ("entry", "residuals"))
         verdicts = [Verdict(**outcome["verdict"]) for outcome in found if outcome["verdict"] is not None]
-        print_table(_rows(entries, verdicts), f"{reader.embodiment.name} -> {config.target}")
+        print_table(_rows(entries, verdicts, config.gate), f"{reader.embodiment.name} -> {config.target}")
         summary = summarise(verdicts) if verdicts else None
         if summary is not None:
             print(f"Verification: {sentence(summary)}.")
             check_kept(summary)
             entries, residuals = (without(summary["dropped"], each) for each in (entries, residuals))
+        judged = config.gate.judge(entries) if config.gate.bounds else None
+        if judged is not None:
+            print(f"Quality: {in_words(judged)}.")
+            entries, residuals = (without(judged[DROPPED], each) for each in (entries, residuals))
         result = {
             "source": {"repo_id": reader.repo_id, "embodiment": reader.embodiment.name},
             "target": config.target,
@@ -121,13 +128,14 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "results": entries,
             "residuals": residuals,
             **({"verify": summary} if summary is not None else {}),
+            **({"gate": judged} if judged is not None else {}),
         }
         if config.dry_run:
             write_json(config.json, result)
             if not config.allow_unreachable:
                 check_reached(config.target, entries)
             return result
-        assemble(place, plan, converter, summary)
+        assemble(place, plan, converter, summary, judged)
     write_json(config.json, result)
     print(f"Wrote {len(entries)} episodes to {place.root}.")
     if config.push_to_hub:
@@ -192,6 +200,7 @@ def _provenance(config: ConvertConfig, reader: "DatasetReader") -> "Provenance":
         **({"calibration": Path(config.calibration).name} if config.calibration else {}),
         "episodes": config.episodes,
         "allow_unreachable": config.allow_unreachable,
+        **config.gate.bounds,
         "init": config.init,
         "solver": config.solver,
         "contact": config.contact,
@@ -207,8 +216,10 @@ def _revision(root: Path) -> str | None:
     return root.name if root.parent.name == "snapshots" else None
 
 
-def _rows(entries: list[dict[str, Any]], verdicts: list[Verdict]) -> list[dict[str, Any]]:
-    """The table's rows, with what verification found, if there was any."""
+def _rows(entries: list[dict[str, Any]], verdicts: list[Verdict], gate: Gate) -> list[dict[str, Any]]:
+    """The table's rows, with what gate and verification found, if there are any."""
+    if gate.bounds:
+        entries = [entry | {"gate": gate.fate(entry["quality"])} for entry in entries]
     if not verdicts:
         return entries
     return [entry | verdict.row() for entry, verdict in zip(entries, verdicts, strict=True)]

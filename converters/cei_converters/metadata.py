@@ -16,6 +16,7 @@ from cei_gym.errors import CEIError
 
 FORMAT_VERSION = "1.0"
 METADATA_PATH = "meta/cei.json"
+PICTURE_PATH = "meta/quality.png"
 REQUIRED = "embodiment, scene.T_world_base, scene.cameras (name, width, height, K, T_world_camera)"
 CONVENTIONS = {
     "world": "right-handed, z up, metres",
