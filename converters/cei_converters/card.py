@@ -25,17 +25,21 @@ CITATION = """@article{wu2026cei,
 }"""
 
 
-def source_license(root: Path) -> str | None:
-    """License that a dataset's own card names, if any."""
+LICENSE = ("license", "license_name", "license_link")
+
+
+def source_license(root: Path) -> dict[str, Any]:
+    """What a dataset's own card says of its license, by the names in LICENSE; empty if it says nothing."""
     from huggingface_hub import DatasetCard
 
     path = root / CARD_PATH
     if not path.is_file():
-        return None
+        return {}
     try:
-        return DatasetCard.load(path, ignore_metadata_errors=True).data.get("license")
+        data = DatasetCard.load(path, ignore_metadata_errors=True).data.to_dict()
     except ValueError:  # a broken card is the source's affair
-        return None
+        return {}
+    return {name: data[name] for name in LICENSE if name in data}
 
 
 def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
@@ -45,7 +49,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     info = json.loads((root / "meta/info.json").read_text())
     source = metadata.provenance.source
     data = DatasetCardData(
-        license=source.license if source else None,
+        **{name: getattr(source, name) for name in LICENSE if source is not None},
         tags=["LeRobot", "cei-gym", "cross-embodiment", metadata.embodiment],
         task_categories=["robotics"],
         source_datasets=[source.repo_id] if source else None,
@@ -239,12 +243,17 @@ def _provenance(metadata: Metadata) -> str:
 def _source_rows(source: Source | None) -> list[tuple[Any, ...]]:
     if source is None:
         return []
+    licenses = source.license if isinstance(source.license, list) else [source.license]
+    named = [each for each in (*licenses, source.license_name, source.license_link) if each]
     rows = [
         ("source", source.repo_id),
         ("source revision", source.revision),
         ("source files", source.fingerprint),
     ]
-    return [(name, f"`{value}`") for name, value in rows if value]
+    return [
+        *((name, f"`{value}`") for name, value in rows if value),
+        ("license of the source", _listed(named) if named else "none is named, so none is named here"),
+    ]
 
 
 def _flat(options: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:

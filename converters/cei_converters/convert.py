@@ -61,7 +61,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     if config.resume and (root := _new_root(config)).exists():
         if Metadata.load(root).embodiment != config.target:
             raise CEIError(f"{root} already exists and is no dataset of {config.target}; choose another folder.")
-        print(f"{root} is finished; nothing is left to do.")
+        print(f"{root} is finished; nothing is left to do{' but to upload it' * config.push_to_hub}.")
+        _upload(config, root)
         return {"root": str(root), "repo_id": config.new_repo_id, "dry_run": False}
     with contextlib.ExitStack() as stack:
         if config.dry_run:
@@ -138,11 +139,24 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         assemble(place, plan, converter, summary, judged)
     write_json(config.json, result)
     print(f"Wrote {len(entries)} episodes to {place.root}.")
-    if config.push_to_hub:
-        from cei_converters.hub import push
-
-        push(place.root, str(config.new_repo_id), private=config.private)
+    _upload(config, place.root)
     return result
+
+
+def _upload(config: ConvertConfig, root: Path) -> None:
+    """Upload a finished dataset, if it is asked for.
+
+    Raises:
+        CEIError: it could not be uploaded.
+    """
+    from cei_converters.hub import push
+
+    if config.push_to_hub:
+        to = {"private": config.private, "branch": config.branch, "pull_request": config.pull_request}
+        try:
+            print(f"Uploaded to {push(root, str(config.new_repo_id), **to)}.")
+        except CEIError as error:
+            raise CEIError(f"{error} The same command with --resume goes on.") from error
 
 
 @dataclass(frozen=True)
@@ -191,8 +205,8 @@ def _provenance(config: ConvertConfig, reader: "DatasetReader") -> "Provenance":
         root_name=reader.root.name if config.dataset.root else None,
         revision=_revision(reader.root) if config.dataset.root is None else None,
         fingerprint=fingerprint(reader.root),
-        license=source_license(reader.root),
         depth_cameras=reader.depth_cameras,
+        **source_license(reader.root),
     )
     options = {
         "target": config.target,

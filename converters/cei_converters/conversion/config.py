@@ -31,6 +31,8 @@ class ConvertConfig:
     flag: float | None = None  # Keep episodes whose quality is lower, and mark them.
     push_to_hub: bool = False  # Upload the converted dataset.
     private: bool = False  # Make the uploaded dataset private.
+    branch: str | None = None  # Upload to this branch, made if there is none; default: main.
+    pull_request: bool = False  # Upload to a pull request.
     json: str | None = None  # File for the result as JSON.
     workers: int | None = None  # Episodes that are moved at the same time; default: one a core.
     executor: str = "local"  # Who converts: local (this machine), slurm or ray; the dataset is the same.
@@ -75,7 +77,6 @@ def check_options(config: ConvertConfig) -> None:
         if config.new_repo_id is None:
             raise CEIError("--new_repo_id=<user>/<name> is required, or --dry_run.")
         check_repo_id(config.new_repo_id)
-    if config.push_to_hub:
-        from cei_converters.hub import check_login
+    from cei_converters.hub import check_destination
 
-        check_login()
+    check_destination(config.push_to_hub, config.branch, config.pull_request)
