@@ -25,7 +25,8 @@ EXAMPLE = (
   cei-convert --dataset.repo_id=me/pick_panda --dataset.root=data/pick_panda --target=IIWA-Inspire \\
       --episodes=0,3,5 --dry_run
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa --verify --verify.drop
-  cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa --min_quality=0.3 --flag=0.6
+  cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa \\
+      --min_quality=0.3 --flag=0.6 --push_to_hub --branch=iiwa
   cei-convert --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --calibration=cameras.yaml \\
       --target=IIWA-Inspire --new_repo_id=me/real_iiwa
 

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 _MAIN = "main"
 _TITLE = "Upload a dataset with CEI-Gym"
 _ABOUT = "How it was made is in its card, README.md."
+_RIGHT = {401: "; run `hf auth login` or set HF_TOKEN", 403: "; the token must be allowed to write there"}
 _DATA = ["data/*", "meta/*", "videos/*", "images/*"]  # what is left of an older dataset here goes
 
 
@@ -63,8 +64,8 @@ def push(
 
     An upload that was interrupted goes on when it is repeated: large files are stored by their content before the commit
     that refers to them, and those that have arrived are not sent again. (`upload_large_folder` would commit parts of a
-    dataset to main, make no pull requests, and leave its own files in the folder; `LeRobotDataset.push_to_hub` would replace
-    our card with its template and an invented license.)
+    dataset as it goes, make no pull requests, and leave its own files in the folder; `LeRobotDataset.push_to_hub` would
+    replace our card with its template and an invented license.)
 
     Args:
         root: the dataset's folder.
@@ -108,9 +109,20 @@ def push(
     except CEIError:
         raise
     except Exception as error:  # network, authorisation, quota: the hub's client has no common class
-        reason = one_line(error.__cause__ or error if isinstance(error, RuntimeError) else error)
-        raise CEIError(f"{repo_id} could not be uploaded ({reason}); the dataset is in {root}.") from error
+        raise CEIError(f"{repo_id} could not be uploaded ({_reason(error)}); the dataset is in {root}.") from error
     return str(url)
+
+
+def _reason(error: Exception) -> str:
+    """Why an upload failed, on one line, and what would be right if it was refused."""
+    from huggingface_hub.errors import HfHubHTTPError
+
+    if isinstance(error, RuntimeError) and isinstance(error.__cause__, Exception):  # of a thread that sent a file
+        error = error.__cause__
+    if not isinstance(error, HfHubHTTPError):
+        return one_line(error)
+    status = error.response.status_code
+    return f"the hub answers {status}: {one_line(error.server_message or error).rstrip('.')}" + _RIGHT.get(status, "")
 
 
 def _pull_request(api: "HfApi", repo_id: str) -> "Discussion":
