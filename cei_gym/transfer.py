@@ -312,9 +312,15 @@ class Transfer:
         return _Followed(frames, motion, track, judge(self._follower, [motion], basin.u, [track]))
 
     def _report(self, motion: Motion, track: Track) -> AlignmentReport:
-        o = self.solver_options
         return make_report(
-            self.problem, motion.points_base, motion.normals_base, track, o.lambda_m, self.options.unreachable_mm
+            self.problem,
+            motion.points_base,
+            motion.normals_base,
+            track,
+            self.solver_options.lambda_m,
+            self.options.unreachable_mm,
+            motion.dt_s,
+            self._follower.penetration_m(motion, track.u),
         )
 
     def _specify(self, demonstration: Demonstration) -> ManualAlignment:

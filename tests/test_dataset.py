@@ -170,7 +170,7 @@ def test_metadata_round_trips(root: Path) -> None:
 
 def test_card_is_complete(root: Path) -> None:
     card = (root / "README.md").read_text()
-    assert source_license(root) == "cc-by-4.0"
+    assert source_license(root) == {"license": "cc-by-4.0"}
     for text in (
         "LeRobot",
         "cross-embodiment",

@@ -74,6 +74,8 @@ def same(one: Path, other: Path) -> None:
                 for name in ("date", "command"):
                     content.get("provenance", {}).pop(name, None)
             assert contents[0] == contents[1], file
+        elif file.suffix == ".png":
+            assert a.read_bytes() == b.read_bytes(), file
 
 
 def siblings(root: Path) -> list[str]:

@@ -19,6 +19,7 @@ from cei_gym.alignment.problem import (
     Surroundings,
     Track,
 )
+from cei_gym.alignment.quality import Quality, assess
 from cei_gym.alignment.report import AlignmentReport, make_report, pad_residuals
 from cei_gym.alignment.solvers import make_solver
 from cei_gym.alignment.squeeze import squeeze
@@ -39,11 +40,13 @@ __all__ = [
     "ManualAlignment",
     "Motion",
     "PaperOptions",
+    "Quality",
     "Solver",
     "SolverOptions",
     "Stream",
     "Surroundings",
     "Track",
+    "assess",
     "choose_modes",
     "find_basins",
     "judge",

@@ -1,5 +1,7 @@
 """How deep a configuration penetrates itself, the support surface or its own stand, and how hard it is to hold."""
 
+from collections.abc import Iterator
+
 import mujoco
 import numpy as np
 from numba import njit
@@ -40,16 +42,25 @@ class Clearance:
             qpos: (T, n) configurations, rad or m.
             support_z_base_m: height of the surface in the base frame.
         """
-        data = mujoco.MjData(self._model)
         depth, share = 0.0, 0.0
-        for q in qpos:
-            data.qpos[:] = q
-            mujoco.mj_fwdPosition(self._model, data)
-            depth = max(depth, self._self_depth(data), self._surroundings_depth(data, support_z_base_m))
+        for data, depth_m in self._placed(qpos, support_z_base_m):
+            depth = max(depth, depth_m)
             mujoco.mj_fwdVelocity(self._model, data)
             if len(self._motor_joint):
                 share = max(share, float(np.max(np.abs(data.qfrc_bias[self._motor_joint]) / self._motor_limit)))
         return depth, share
+
+    def depth_m(self, qpos: np.ndarray, support_z_base_m: float) -> np.ndarray:
+        """(T,) deepest penetration at each configuration, m; arguments as for `worst`."""
+        return np.array([depth_m for _, depth_m in self._placed(qpos, support_z_base_m)])
+
+    def _placed(self, qpos: np.ndarray, support_z_base_m: float) -> Iterator[tuple[mujoco.MjData, float]]:
+        """For each configuration the simulator's data with it, and the deepest penetration, m."""
+        data = mujoco.MjData(self._model)
+        for q in qpos:
+            data.qpos[:] = q
+            mujoco.mj_fwdPosition(self._model, data)
+            yield data, max(self._self_depth(data), self._surroundings_depth(data, support_z_base_m))
 
     def _self_depth(self, data: mujoco.MjData) -> float:
         if data.ncon == 0:

@@ -66,6 +66,12 @@ class Follower:
         """See `GraspRefiner.overlap_m`."""
         return self._grasp.overlap_m(motion, u)
 
+    def penetration_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
+        """(T,) how deep the target is in itself, its stand, the support surface or objects at (T, m) configurations, m."""
+        support_z = motion.surroundings.support_z_base_m if motion.surroundings else -np.inf
+        depth_m = self.clearance.depth_m(self.problem.embodiment.coupled.expand(u), support_z)
+        return np.maximum(depth_m, self.overlap_m(motion, u))
+
     def shortfall_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
         """(T,) how much clearance the worst link lacks at each of (T, m) configurations, m; 0 where none does."""
         assert motion.surroundings is not None

@@ -22,6 +22,9 @@ class AlignmentReport:
         iterations: (T,) iterations that the solver spent.
         limit_hits: (T,) independent joints that sit at a limit.
         joint_step_rad: (T,) largest change of a joint since the frame before (0 at the first), rad or m.
+        arm_at_limit: (T,) whether a joint of the arm sits at a limit: a hand that is open or closed often does.
+        speed_share: (T,) largest change of a joint since the frame before, as a share of what its velocity limit allows.
+        penetration_mm: (T,) how deep the target is in itself, its stand, the support surface or objects.
         unreachable_mm: pad distance above which a frame counts as out of the target's reach.
     """
 
@@ -31,6 +34,9 @@ class AlignmentReport:
     iterations: np.ndarray
     limit_hits: np.ndarray
     joint_step_rad: np.ndarray
+    arm_at_limit: np.ndarray
+    speed_share: np.ndarray
+    penetration_mm: np.ndarray
     unreachable_mm: float
 
     @property
@@ -48,6 +54,7 @@ class AlignmentReport:
             "iterations_mean": float(self.iterations.mean()),
             "limit_hits_max": int(self.limit_hits.max()),
             "joint_step_max_rad": float(self.joint_step_rad.max()),
+            "penetration_mm_max": float(self.penetration_mm.max()),
             "unreachable_frames": self.unreachable_frames,
         }
 
@@ -59,12 +66,26 @@ def make_report(
     track: Track,
     lambda_m: float,
     unreachable_mm: float,
+    dt_s: float | None = None,
+    penetration_m: np.ndarray | None = None,
 ) -> AlignmentReport:
-    """Diagnose a track against the (T, N, 3) source representation that it followed."""
+    """Diagnose a track.
+
+    Args:
+        problem: of the target.
+        points_base, normals_base: (T, N, 3) source representation that it followed, in the target's base frame.
+        track: what is judged.
+        lambda_m, unreachable_mm: see `SolverOptions` and `AlignmentReport`.
+        dt_s: time between frames; without it no joint counts as fast.
+        penetration_m: (T,) how deep the target is in something; none if it is not known.
+    """
     pad_distance_mm, normal_angle_deg = pad_residuals(problem, points_base, normals_base, track.u, lambda_m)
     lower, upper = problem.embodiment.independent_limits
     at_limit = (track.u <= lower + _AT_LIMIT) | (track.u >= upper - _AT_LIMIT)
     step = np.abs(np.diff(problem.embodiment.coupled.expand(track.u), axis=0, prepend=np.nan)).max(axis=1)
+    arm = problem.embodiment.coupled.independent < problem.embodiment.n_arm
+    allowed = problem.embodiment.independent_max_velocity * (np.inf if dt_s is None else dt_s)
+    moved = np.abs(np.diff(track.u, axis=0, prepend=track.u[:1]))
     return AlignmentReport(
         pad_distance_mm=pad_distance_mm,
         normal_angle_deg=normal_angle_deg,
@@ -72,6 +93,9 @@ def make_report(
         iterations=track.iterations,
         limit_hits=at_limit.sum(axis=1),
         joint_step_rad=np.nan_to_num(step),
+        arm_at_limit=at_limit[:, arm].sum(axis=1) > 0,
+        speed_share=(moved / allowed).max(axis=1),
+        penetration_mm=np.zeros(len(track.u)) if penetration_m is None else 1e3 * penetration_m,
         unreachable_mm=unreachable_mm,
     )
 

@@ -2,16 +2,21 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cei_converters import schema
-from cei_converters.metadata import METADATA_PATH, Metadata, Source
+from cei_converters.metadata import METADATA_PATH, PICTURE_PATH, Metadata, Source
 
 CARD_PATH = "README.md"
+PARTS = (
+    "An episode's quality, from 0 to 1, is that of its worst part: `residual` (how far pads are from the source's), `limits` "
+    "(frames with a joint of the arm at a limit), `jumps` (joints faster than they can be), `clearance` (how deep the robot is in "
+    "itself, table or objects) and `reach` (frames out of reach)."
+)
 CITATION = """@article{wu2026cei,
   title   = {{CEI}: A Unified Interface for Cross-Embodiment Visuomotor Policy Learning in {3D} Space},
   author  = {Wu, Tong and Li, Shoujie and Gong, Junhao and Guo, Changqing and Li, Xingting and Mu, Shilong
@@ -20,17 +25,21 @@ CITATION = """@article{wu2026cei,
 }"""
 
 
-def source_license(root: Path) -> str | None:
-    """License that a dataset's own card names, if any."""
+LICENSE = ("license", "license_name", "license_link")
+
+
+def source_license(root: Path) -> dict[str, Any]:
+    """What a dataset's own card says of its license, by the names in LICENSE; empty if it says nothing."""
     from huggingface_hub import DatasetCard
 
     path = root / CARD_PATH
     if not path.is_file():
-        return None
+        return {}
     try:
-        return DatasetCard.load(path, ignore_metadata_errors=True).data.get("license")
+        data = DatasetCard.load(path, ignore_metadata_errors=True).data.to_dict()
     except ValueError:  # a broken card is the source's affair
-        return None
+        return {}
+    return {name: data[name] for name in LICENSE if name in data}
 
 
 def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
@@ -40,7 +49,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     info = json.loads((root / "meta/info.json").read_text())
     source = metadata.provenance.source
     data = DatasetCardData(
-        license=source.license if source else None,
+        **{name: getattr(source, name) for name in LICENSE if source is not None},
         tags=["LeRobot", "cei-gym", "cross-embodiment", metadata.embodiment],
         task_categories=["robotics"],
         source_datasets=[source.repo_id] if source else None,
@@ -48,7 +57,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     )
     sections = [
         _introduction(repo_id, metadata, info),
-        _quality(metadata),
+        _quality(root, metadata),
         _verified(metadata),
         _cameras(metadata, info),
         _layout(metadata, info),
@@ -91,18 +100,42 @@ def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
     return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-def _quality(metadata: Metadata) -> str:
+def _quality(root: Path, metadata: Metadata) -> str:
+    scored = [record["quality"] for record in metadata.episodes if "quality" in record]
+    measured = [{"quality": quality["score"], **quality["parts"]} for quality in scored]
     reports = [record["alignment"] for record in metadata.episodes if "alignment" in record]
-    keys = dict.fromkeys(key for report in reports for key in report)
-    rows = []
-    for key in keys:
-        values = [v for report in reports if isinstance(v := report.get(key), (int, float)) and not isinstance(v, bool)]
-        if values:
-            rows.append((f"`{key}`", *(f"{f(values):.4g}" for f in (np.mean, np.min, np.max))))
+    rows = [*_spread(measured), *_spread(reports)]
     if not rows:
         return ""
-    text = "## Quality of the alignment\n\nOver the episodes; per episode in "
-    return text + f"`{METADATA_PATH}`.\n\n" + _table(("per episode", "mean", "least", "largest"), rows)
+    parts = ["## Quality of the alignment"]
+    if (root / PICTURE_PATH).is_file():
+        parts.append(f"![Scores of all episodes, and the worst ones]({PICTURE_PATH})")
+    if scored:
+        parts.append(PARTS + _gated(metadata))
+    text = f"Over the episodes; per episode in `{METADATA_PATH}`."
+    return "\n\n".join([*parts, text, _table(("per episode", "mean", "least", "largest"), rows)])
+
+
+def _spread(records: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Rows of a table: each number that records hold, over all of them."""
+    rows = []
+    for key in dict.fromkeys(key for record in records for key in record):
+        values = [v for record in records if isinstance(v := record.get(key), (int, float)) and not isinstance(v, bool)]
+        if values:
+            rows.append((f"`{key}`", *(f"{f(values):.4g}" for f in (np.mean, np.min, np.max))))
+    return rows
+
+
+def _gated(metadata: Metadata) -> str:
+    """Sentences on what the quality gate did; empty if there was none."""
+    options = metadata.provenance.options
+    text = ""
+    if "min_quality" in options:
+        text += f" Episodes below {options['min_quality']:g} are left out ({len(options['gate']['dropped'])})."
+    if "flag" in options:
+        flagged = [str(index) for index, record in enumerate(metadata.episodes) if record.get("flagged")]
+        text += f" Those below {options['flag']:g} are `flagged` in `{METADATA_PATH}`: {', '.join(flagged) or 'none'}."
+    return text
 
 
 def _verified(metadata: Metadata) -> str:
@@ -210,12 +243,17 @@ def _provenance(metadata: Metadata) -> str:
 def _source_rows(source: Source | None) -> list[tuple[Any, ...]]:
     if source is None:
         return []
+    licenses = source.license if isinstance(source.license, list) else [source.license]
+    named = [each for each in (*licenses, source.license_name, source.license_link) if each]
     rows = [
         ("source", source.repo_id),
         ("source revision", source.revision),
         ("source files", source.fingerprint),
     ]
-    return [(name, f"`{value}`") for name, value in rows if value]
+    return [
+        *((name, f"`{value}`") for name, value in rows if value),
+        ("license of the source", _listed(named) if named else "none is named, so none is named here"),
+    ]
 
 
 def _flat(options: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:

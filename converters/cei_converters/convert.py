@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cei_converters import calibration, joint_map, pose
 from cei_converters.cli import run
 from cei_converters.conversion.config import ConvertConfig, check_options
+from cei_converters.gate import DROPPED, Gate, in_words
 from cei_converters.quality import check_reached, print_table
 from cei_converters.verify import Verdict, check_kept, sentence, summarise, without
 from cei_gym.errors import CEIError
@@ -23,6 +24,8 @@ EXAMPLE = """example:
   cei-convert --dataset.repo_id=me/pick_panda --dataset.root=data/pick_panda --target=IIWA-Inspire \\
       --episodes=0,3,5 --dry_run
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa --verify --verify.drop
+  cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa \\
+      --min_quality=0.3 --flag=0.6 --push_to_hub --branch=iiwa
   cei-convert --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --calibration=cameras.yaml \\
       --target=IIWA-Inspire --new_repo_id=me/real_iiwa
 
@@ -34,10 +37,11 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
 
     Returns:
         The result: source, target, under `results` one entry an episode, under `residuals` the same frame by frame,
-        under `verify` what replaying showed, if asked for. Episodes that verification drops are in the last only.
+        under `verify` what replaying showed, if asked for, and under `gate` which episodes are dropped or flagged for their
+        quality, if asked for. Episodes that are dropped are in the last two only.
 
     Raises:
-        CEIError: bad options or data, an episode that the target cannot reach, or none that verification keeps.
+        CEIError: bad options or data, an episode that the target cannot reach, or none that is kept.
     """
     check_options(config)
 
@@ -56,7 +60,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         if Metadata.load(root).embodiment != config.target:
             raise CEIError(f"{root} already exists and is no dataset of {config.target}; choose another folder.")
         tidy(root)
-        print(f"{root} is finished; nothing is left to do.")
+        print(f"{root} is finished; nothing is left to do{' but to upload it' * config.push_to_hub}.")
+        _upload(config, root)
         return {"root": str(root), "repo_id": config.new_repo_id, "dry_run": False}
     with contextlib.ExitStack() as stack:
         if config.dry_run:
@@ -99,12 +104,16 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         found = list(outcomes(place, plan))
         entries, residuals = ([outcome[name] for outcome in found] for name in ("entry", "residuals"))
         verdicts = [Verdict(**outcome["verdict"]) for outcome in found if outcome["verdict"] is not None]
-        print_table(_rows(entries, verdicts), f"{reader.embodiment.name} -> {config.target}")
+        print_table(_rows(entries, verdicts, config.gate), f"{reader.embodiment.name} -> {config.target}")
         summary = summarise(verdicts) if verdicts else None
         if summary is not None:
             print(f"Verification: {sentence(summary)}.")
             check_kept(summary)
             entries, residuals = (without(summary["dropped"], each) for each in (entries, residuals))
+        judged = config.gate.judge(entries) if config.gate.bounds else None
+        if judged is not None:
+            print(f"Quality: {in_words(judged)}.")
+            entries, residuals = (without(judged[DROPPED], each) for each in (entries, residuals))
         result = {
             "source": {"repo_id": reader.repo_id, "embodiment": reader.embodiment.name},
             "target": config.target,
@@ -119,20 +128,34 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "results": entries,
             "residuals": residuals,
             **({"verify": summary} if summary is not None else {}),
+            **({"gate": judged} if judged is not None else {}),
         }
         if config.dry_run:
             write_json(config.json, result)
             if not config.allow_unreachable:
                 check_reached(config.target, entries)
             return result
-        assemble(place, plan, converter, summary)
+        assemble(place, plan, converter, summary, judged)
     write_json(config.json, result)
     print(f"Wrote {len(entries)} episodes to {place.root}.")
-    if config.push_to_hub:
-        from cei_converters.hub import push
-
-        push(place.root, str(config.new_repo_id), private=config.private)
+    _upload(config, place.root)
     return result
+
+
+def _upload(config: ConvertConfig, root: Path) -> None:
+    """Upload a finished dataset, if it is asked for.
+
+    Raises:
+        CEIError: it could not be uploaded.
+    """
+    from cei_converters.hub import push
+
+    if config.push_to_hub:
+        to = {"private": config.private, "branch": config.branch, "pull_request": config.pull_request}
+        try:
+            print(f"Uploaded to {push(root, str(config.new_repo_id), **to)}.")
+        except CEIError as error:
+            raise CEIError(f"{error} The same command with --resume goes on.") from error
 
 
 @dataclass(frozen=True)
@@ -182,8 +205,8 @@ def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
         root_name=Path(config.dataset.root).name if config.dataset.root else None,
         revision=_revision(reader.root) if config.dataset.root is None else None,
         fingerprint=fingerprint(reader.root),
-        license=source_license(reader.root),
         depth_cameras=reader.depth_cameras,
+        **source_license(reader.root),
     )
     options = {
         "target": config.target,
@@ -192,6 +215,7 @@ def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
         **({"joint_map": load_joint_map(config.joint_map)} if config.joint_map else {}),
         "episodes": config.episodes,
         "allow_unreachable": config.allow_unreachable,
+        **config.gate.bounds,
         "init": config.init,
         "solver": config.solver,
         "contact": config.contact,
@@ -207,8 +231,10 @@ def _revision(root: Path) -> str | None:
     return root.name if root.parent.name == "snapshots" else None
 
 
-def _rows(entries: list[dict[str, Any]], verdicts: list[Verdict]) -> list[dict[str, Any]]:
-    """The table's rows, with what verification found, if there was any."""
+def _rows(entries: list[dict[str, Any]], verdicts: list[Verdict], gate: Gate) -> list[dict[str, Any]]:
+    """The table's rows, with what gate and verification found, if there are any."""
+    if gate.bounds:
+        entries = [entry | {"gate": gate.fate(entry["quality"])} for entry in entries]
     if not verdicts:
         return entries
     return [entry | verdict.row() for entry, verdict in zip(entries, verdicts, strict=True)]

@@ -16,6 +16,7 @@ from cei_gym.errors import CEIError
 
 FORMAT_VERSION = "1.0"
 METADATA_PATH = "meta/cei.json"
+PICTURE_PATH = "meta/quality.png"
 REQUIRED = "embodiment, scene.T_world_base, scene.cameras (name, width, height, K, T_world_camera)"
 CONVENTIONS = {
     "world": "right-handed, z up, metres",
@@ -36,14 +37,16 @@ class Environment:
 
 @dataclass(frozen=True)
 class Source:
-    """The dataset that this one was converted from."""
+    """The dataset that this one was converted from. What its card says of its license is carried over as it is."""
 
     repo_id: str
     embodiment: str
     root_name: str | None = None
     revision: str | None = None
     fingerprint: str | None = None
-    license: str | None = None
+    license: Any = None  # an identifier, or a list of them
+    license_name: str | None = None  # where the identifier is "other"
+    license_link: str | None = None
     depth_cameras: tuple[str, ...] = ()  # those whose depth became clouds
 
 

@@ -7,7 +7,7 @@ from cei_gym.errors import CEIError
 
 SHOWN_FRAMES = 10
 # a pipe has no width; wide enough for every column on one line
-PIPE_WIDTH = 160
+PIPE_WIDTH = 180
 
 
 def check_reached(target: str, entries: list[dict[str, Any]]) -> None:

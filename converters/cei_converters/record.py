@@ -112,7 +112,7 @@ def record(config: RecordConfig) -> dict[str, Any]:
         named = ", ".join(f"seed {r['seed']} ({r['failure']})" for r in failed)
         raise CEIError(f"the expert failed {len(failed)} of {len(results)} times; left out: {named}.")
     if config.push_to_hub:
-        push(writer.root, config.repo_id, private=config.private)
+        print(f"Uploaded to {push(writer.root, config.repo_id, private=config.private)}.")
     return result
 
 

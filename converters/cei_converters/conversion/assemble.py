@@ -9,9 +9,10 @@ import numpy as np
 
 from cei_converters.conversion.converter import Converter
 from cei_converters.conversion.plan import Plan
+from cei_converters.conversion.quality_picture import write_summary
 from cei_converters.conversion.shard import Shard
 from cei_converters.conversion.workplace import Workplace
-from cei_converters.metadata import Environment, Provenance, plain
+from cei_converters.metadata import PICTURE_PATH, Environment, Provenance, plain
 from cei_converters.writer import DatasetWriter
 from cei_gym.transfer import Transfer
 
@@ -22,7 +23,13 @@ def outcomes(place: Workplace, plan: Plan) -> Iterator[dict[str, Any]]:
         yield from Shard(place.shard(shard)).outcomes
 
 
-def assemble(place: Workplace, plan: Plan, converter: Converter, verified: dict[str, Any] | None) -> None:
+def assemble(
+    place: Workplace,
+    plan: Plan,
+    converter: Converter,
+    verified: dict[str, Any] | None,
+    judged: dict[str, list[int]] | None,
+) -> None:
     """Write the dataset, and move it to where it is wanted.
 
     Args:
@@ -30,6 +37,7 @@ def assemble(place: Workplace, plan: Plan, converter: Converter, verified: dict[
         plan: of the conversion.
         converter: fitted.
         verified: what verification showed (`summarise`), if it was asked for.
+        judged: what the gate lets through (`Gate.judge`), if there is one.
 
     Raises:
         CEIError: pictures that pass through are missing.
@@ -41,7 +49,7 @@ def assemble(place: Workplace, plan: Plan, converter: Converter, verified: dict[
         config.new_repo_id,
         place.root,
         environment=converter.environment,
-        provenance=_with_choices(plan.provenance, converter.transfer, verified),
+        provenance=_with_choices(plan.provenance, converter.transfer, verified, judged),
         cameras=reader.cameras,
         partial=place.dataset,
     ) as writer:
@@ -55,14 +63,22 @@ def assemble(place: Workplace, plan: Plan, converter: Converter, verified: dict[
                     writer.append(converted.header, converted.encoded, outcome["record"], pictures)
                     starts[outcome["mode"]].append(outcome["start_qpos"])
         writer.environment = _with_start(writer.environment, starts)
+        write_summary(place.dataset / PICTURE_PATH, list(outcomes(place, plan)), config.gate, converter)
 
 
-def _with_choices(provenance: Provenance, transfer: Transfer, verified: dict[str, Any] | None) -> Provenance:
+def _with_choices(
+    provenance: Provenance,
+    transfer: Transfer,
+    verified: dict[str, Any] | None,
+    judged: dict[str, list[int]] | None,
+) -> Provenance:
     """Provenance with what was decided on the way: where trajectories start, on which pads, which episodes are dropped."""
     pads = {e.name: plain(e.end_effector.pads) for e in (transfer.source, transfer.target) if e.end_effector}
     options = provenance.options | {"basins": plain(transfer.basins)}
     if verified is not None:
         options["verify"] = options["verify"] | {"dropped": verified["dropped"]}
+    if judged is not None:
+        options["gate"] = judged
     return replace(provenance, pads=pads, options=options)
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from cei_converters.cli import DatasetConfig
 from cei_converters.conversion.executors import SlurmOptions, check_executor
+from cei_converters.gate import Gate
 from cei_converters.verify import VerifyOptions
 from cei_gym.alignment import ContactOptions, InitialisationOptions, SolverOptions
 from cei_gym.errors import CEIError, unknown
@@ -27,8 +28,12 @@ class ConvertConfig:
     episodes: str | None = None  # Episodes to convert, such as 0,3,5; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
     allow_unreachable: bool = False  # Keep episodes in which the target cannot reach every frame.
+    min_quality: float | None = None  # Leave out episodes whose quality, from 0 to 1, is lower.
+    flag: float | None = None  # Keep episodes whose quality is lower, and mark them.
     push_to_hub: bool = False  # Upload the converted dataset.
     private: bool = False  # Make the uploaded dataset private.
+    branch: str | None = None  # Upload to this branch, made if there is none; default: main.
+    pull_request: bool = False  # Upload to a pull request.
     json: str | None = None  # File for the result as JSON.
     workers: int | None = None  # Episodes that are moved at the same time; default: one a core.
     executor: str = "local"  # Who converts: local (this machine), slurm or ray; the dataset is the same.
@@ -42,6 +47,11 @@ class ConvertConfig:
     clouds: CloudOptions = field(default_factory=CloudOptions)
     verify: VerifyOptions = field(default_factory=VerifyOptions)  # Replay and retry, with --verify.
 
+    @property
+    def gate(self) -> Gate:
+        """What `min_quality` and `flag` ask for."""
+        return Gate(self.min_quality, self.flag)
+
 
 def check_options(config: ConvertConfig) -> None:
     """Fail before any work is done, not after it."""
@@ -53,6 +63,7 @@ def check_options(config: ConvertConfig) -> None:
     if config.workers is not None and config.workers < 1:
         raise CEIError(f"--workers={config.workers} must be at least 1.")
     check_executor(config.executor, config.slurm)
+    Gate(config.min_quality, config.flag)
     if config.dry_run and config.executor == "slurm":
         raise CEIError("--dry_run is done at once, here; leave out --executor=slurm.")
     if config.shard_episodes < 1:
@@ -67,7 +78,6 @@ def check_options(config: ConvertConfig) -> None:
         if config.new_repo_id is None:
             raise CEIError("--new_repo_id=<user>/<name> is required, or --dry_run.")
         check_repo_id(config.new_repo_id)
-    if config.push_to_hub:
-        from cei_converters.hub import check_login
+    from cei_converters.hub import check_destination
 
-        check_login()
+    check_destination(config.push_to_hub, config.branch, config.pull_request)

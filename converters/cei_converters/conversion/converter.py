@@ -11,6 +11,7 @@ from cei_converters.columns import encode
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.conversion.shard import Converted
 from cei_converters.episodes import encode_episode
+from cei_converters.gate import DROPPED, FLAGGED
 from cei_converters.metadata import Environment, plain
 from cei_converters.options import parse_episodes, parse_pose
 from cei_converters.quality import check_reached
@@ -19,6 +20,7 @@ from cei_converters.sources import open_source
 from cei_converters.verify import Verifier, open_stage
 from cei_converters.workers import in_order
 from cei_converters.writer import Header
+from cei_gym.alignment import assess
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.transfer import Transfer
@@ -37,6 +39,7 @@ class Converter:
         reader: of the dataset.
         selected: episodes to convert.
         transfer: what moves them; to be fitted first, by `fit` or `start_from`.
+        T_world_target: (4, 4) pose of the target's base.
 
     Raises:
         CEIError: bad options or data.
@@ -58,6 +61,7 @@ class Converter:
         )
         self.selected = self.reader.select(parse_episodes(config.episodes))
         pose = parse_pose("--target_pose", config.target_pose)
+        self.T_world_target = self.reader.scene.T_world_base if pose is None else pose
         self.transfer = Transfer(
             self.reader.embodiment,
             load_embodiment(config.target),
@@ -72,8 +76,7 @@ class Converter:
         self._opened = contextlib.ExitStack()
         self._verifier = None
         if config.verify.enabled:
-            base = self.reader.scene.T_world_base if pose is None else pose
-            stage = open_stage(self.reader.repo_id, self.environment, config.target, base)
+            stage = open_stage(self.reader.repo_id, self.environment, config.target, self.T_world_target)
             self._opened.enter_context(stage)
             self._verifier = Verifier(self.transfer, stage, config.verify, config.allow_unreachable)
 
@@ -119,26 +122,41 @@ class Converter:
         else:
             moved, report, verdict = self._verifier(recorded, mode)
         summary = report.summary() | ({"mode": mode} if config.init.modes > 1 else {})
-        entry = {"episode": index, "frames": len(moved), **recorded.figures, **summary}
+        quality = assess(report)
+        fate = config.gate.fate(quality.score)
+        entry = {
+            "episode": index,
+            "frames": len(moved),
+            **recorded.figures,
+            **summary,
+            "quality": quality.score,
+            "weakest": quality.weakest,
+        }
         record = {**self.reader.record(index), "source_episode": index}
-        for of_the_source in ("verified", "source_frames"):
+        for of_the_source in ("verified", "source_frames", "flagged"):
             record.pop(of_the_source, None)
+        record["quality"] = {"score": quality.score, "parts": quality.parts}
+        if fate == FLAGGED:
+            record["flagged"] = True
         if verdict is not None:
             record["verified"] = verdict.record()
         source_frames = None if moved.source_frames is None else moved.source_frames.tolist()
         if source_frames is not None:
             record["source_frames"] = source_frames
+        worst = quality.frame
+        qpos_source = recorded.qpos[worst if moved.source_frames is None else moved.source_frames[worst]]
         frames = {"pad_distance_mm": report.pad_distance_mm, "normal_angle_deg": report.normal_angle_deg}
         outcome = {
             "entry": entry,
             "residuals": {"episode": index, **frames},
             "record": {**record, **recorded.figures, "alignment": summary},
+            "worst": {"frame": worst, "qpos_source": qpos_source, "qpos_target": moved.qpos[worst]},
             "verdict": verdict,
             "mode": mode,
             "start_qpos": moved.qpos[0],
         }
         header = Header.of(moved)
-        kept = not config.dry_run and not (verdict is not None and verdict.dropped)
+        kept = not config.dry_run and fate != DROPPED and not (verdict is not None and verdict.dropped)
         if kept and not config.allow_unreachable:
             check_reached(config.target, [entry])
         encoded = encode_episode(encode(moved), header.features, moved.task) if kept else None

@@ -14,7 +14,8 @@ from cei_gym.alignment import Basin
 from cei_gym.errors import CEIError
 
 # what may differ from one run to the next without changing what becomes of the dataset
-_INCIDENTAL = ("workers", "executor", "slurm", "shard_episodes", "resume", "json", "push_to_hub", "private")
+_UPLOAD = ("push_to_hub", "private", "branch", "pull_request")
+_INCIDENTAL = ("workers", "executor", "slurm", "shard_episodes", "resume", "json", *_UPLOAD)
 
 
 @dataclass(frozen=True)

@@ -126,12 +126,12 @@ def load_view(reader: "Source", index: int, source: "Source | None" = None) -> V
     if demonstration.task:
         title += f" ({' '.join(demonstration.task.split()).rstrip('.')})"
     role = "dataset" if source is None else "target"
-    target = _side(role, reader.embodiment, demonstration, np.arange(len(demonstration)))
+    target = make_side(role, reader.embodiment, demonstration, np.arange(len(demonstration)))
     if source is None:
         return View((target,), title, {})
     source_index, frames = _origin(reader, index, len(demonstration), source)
     recorded = source.read(source_index).at(frames)
-    before = _side("source", source.embodiment, recorded, frames)
+    before = make_side("source", source.embodiment, recorded, frames)
     return View((before, target), title, _residuals(before, target))
 
 
@@ -158,7 +158,8 @@ def _origin(reader: "Source", index: int, length: int, source: "Source") -> tupl
     return source_index, np.array(frames)
 
 
-def _side(role: str, embodiment: Embodiment, demonstration: Demonstration, frames: np.ndarray) -> Side:
+def make_side(role: str, embodiment: Embodiment, demonstration: Demonstration, frames: np.ndarray) -> Side:
+    """One side of a view; `frames` are (T,) indices in its own dataset's episode."""
     options = TransferOptions()
     representation = sample_representation(embodiment, options.points, options.seed)
     T_world_links = demonstration.scene.T_world_base @ KinematicTree(embodiment).forward(demonstration.qpos)

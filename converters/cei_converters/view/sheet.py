@@ -1,5 +1,6 @@
 """A view as one picture, drawn without GL: rows are robots, columns are moments, below how far the pads are apart."""
 
+from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def _sheet(view: View) -> Figure:
     for row, side in zip(rows, view.sides, strict=False):
         row.supylabel(side.label, fontsize=18)
         columns = row.subplots(1, len(moments), squeeze=False)[0]
-        for axes, t, picture in zip(columns, moments, _pictures(view, side, moments), strict=True):
+        for axes, t, picture in zip(columns, moments, draw_moments(view, side, moments), strict=True):
             axes.imshow(picture)
             axes.set_title(f"frame {side.frames[t]}, {view.times_s[t]:.2f} s", fontsize=15)
             axes.set(xticks=[], yticks=[])
@@ -81,31 +82,34 @@ def _plot(axes: Axes, view: View, key: str, moments: np.ndarray) -> None:
     axes.grid(alpha=0.3)
 
 
-def _pictures(view: View, side: Side, moments: np.ndarray) -> list[np.ndarray]:
-    """One picture (H, W, 3) a moment: above all of the robot, below its pads from near."""
+def draw_moments(view: View, side: Side, moments: Iterable[int], supersample: int = _SUPERSAMPLE) -> list[np.ndarray]:
+    """One picture (H, W, 3) uint8 a moment (index of a frame): above all of the robot, below its pads from near."""
     portrait = Portrait(side.embodiment)
-    from_afar = _camera(*view.eye_and_target(), _HEIGHT, _FOVY_DEG)
+    from_afar = _camera(*view.eye_and_target(), _HEIGHT, _FOVY_DEG, supersample)
     pictures = []
     for t in moments:
         middle = side.points_world[t].mean(axis=0)
         eye = middle + _CLOSE_UP_M * side.towards_eye(_CLOSE_UP_DIRECTION)
-        close_up = _camera(eye, middle, _CLOSE_UP_HEIGHT, _CLOSE_UP_FOVY_DEG)
-        both = [_draw(view, side, portrait, t, from_afar, 3), _draw(view, side, portrait, t, close_up, 4)]
-        both[1][:_SUPERSAMPLE] = _GREY
+        close_up = _camera(eye, middle, _CLOSE_UP_HEIGHT, _CLOSE_UP_FOVY_DEG, supersample)
+        both = [
+            _draw(view, side, portrait, t, camera, supersample * radius_px)
+            for camera, radius_px in ((from_afar, 1.5), (close_up, 2.0))
+        ]
+        both[1][:supersample] = _GREY
         picture = Image.fromarray(np.concatenate(both))
-        pictures.append(np.asarray(picture.reduce(_SUPERSAMPLE)))
+        pictures.append(np.asarray(picture.reduce(supersample)))
     return pictures
 
 
-def _camera(eye: np.ndarray, target: np.ndarray, height: int, fovy_deg: float) -> Camera:
-    return look_at("view", eye, target, _SUPERSAMPLE * _WIDTH, _SUPERSAMPLE * height, fovy_deg)
+def _camera(eye: np.ndarray, target: np.ndarray, height: int, fovy_deg: float, supersample: int) -> Camera:
+    return look_at("view", eye, target, supersample * _WIDTH, supersample * height, fovy_deg)
 
 
 def _draw(view: View, side: Side, portrait: Portrait, t: int, camera: Camera, radius_px: float) -> np.ndarray:
     """Robot, workspace, cloud and pads at a frame, the target's with the source's pads; pads that are hidden are pale."""
     demonstration = side.demonstration
     picture, depth_m = portrait(side.T_world_links[t], camera)
-    splat(picture, depth_m, camera, _edges(demonstration.scene.workspace_world), np.array(_GREY), 1)
+    splat(picture, depth_m, camera, _edges(demonstration.scene.workspace_world), np.array(_GREY), radius_px / 3)
     if demonstration.point_cloud_world is not None:
         cloud = demonstration.point_cloud_world[t, :, :3]
         splat(picture, depth_m, camera, cloud, side.cloud_rgb(t), radius_px)

@@ -1,0 +1,116 @@
+"""Quality of a whole conversion in one picture: how scores are distributed, and where the worst episodes are worst."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from cei_converters.conversion.converter import Converter
+from cei_converters.gate import DROPPED, FLAGGED, KEPT, Gate
+from cei_converters.view.episode import Side, View, make_side
+from cei_converters.view.sheet import draw_moments
+from cei_gym.demonstration import Demonstration
+from cei_gym.embodiment import Embodiment
+
+_WORST = 5
+_COLOURS = {KEPT: "#4878b0", FLAGGED: "#e8a33d", DROPPED: "#c44e52"}
+_BINS = [i / 20 for i in range(21)]
+_DPI = 100
+
+
+def write_summary(path: Path, outcomes: Sequence[dict[str, Any]], gate: Gate, converter: Converter) -> None:
+    """Draw scores and parts of all converted episodes, dropped ones included, and the worst ones where they are worst.
+
+    Args:
+        path: PNG to write.
+        outcomes: of the episodes; see `Converted`.
+        gate: what became of which.
+        converter: that converted them.
+    """
+    scores = np.array([outcome["record"]["quality"]["score"] for outcome in outcomes])
+    fates = [_fate(outcome, gate) for outcome in outcomes]
+    worst = np.argsort(scores, kind="stable")[:_WORST]
+    pictures = _portraits([outcomes[i]["worst"] for i in worst], converter)
+    with mpl.rc_context(mpl.rcParamsDefault):  # whatever the user's own style is
+        figure = Figure(figsize=(15, 8.7), dpi=_DPI, layout="constrained")
+        above, below = figure.subfigures(2, 1, height_ratios=(1, 1.9), squeeze=False)[:, 0]
+        histogram, parts = above.subplots(1, 2)
+        _draw_scores(histogram, scores, fates, gate)
+        _draw_parts(parts, [outcome["record"]["quality"]["parts"] for outcome in outcomes], fates)
+        below.suptitle(
+            "The worst episodes (numbered as in the source), each where it is worst; red its pads, blue the source's",
+            fontsize=12,
+        )
+        columns = below.subplots(1, _WORST)
+        for axes, i, picture in zip(columns, worst, pictures, strict=False):
+            _draw_worst(axes, outcomes[i], fates[i], picture)
+        for axes in columns[len(worst) :]:
+            axes.set_axis_off()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, metadata={"Software": None})
+
+
+def _fate(outcome: dict[str, Any], gate: Gate) -> str:
+    verdict = outcome["verdict"]
+    return DROPPED if verdict is not None and verdict["dropped"] else gate.fate(outcome["record"]["quality"]["score"])
+
+
+def _draw_scores(axes: Axes, scores: np.ndarray, fates: Sequence[str], gate: Gate) -> None:
+    shown = [fate for fate in _COLOURS if fate in fates]
+    axes.hist(
+        [scores[np.array(fates) == fate] for fate in shown],
+        _BINS,
+        stacked=True,
+        color=[_COLOURS[fate] for fate in shown],
+        label=[f"{fate}: {fates.count(fate)}" for fate in shown],
+    )
+    for style, (name, bound) in zip(("-", "--"), gate.bounds.items(), strict=False):
+        axes.axvline(bound, color="0.3", ls=style, lw=1, label=f"--{name}={bound:g}")
+    axes.set(title=f"{len(scores)} episodes, median {np.median(scores):.2f}", xlabel="quality", ylabel="episodes")
+    axes.set_xlim(0, 1)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.margins(y=0.25)  # room for the key
+    axes.legend(loc="upper center", ncols=5, fontsize=8)
+
+
+def _draw_parts(axes: Axes, parts: Sequence[dict[str, float]], fates: Sequence[str]) -> None:
+    """A dot an episode and part, spread a little in the order of the episodes."""
+    names = list(parts[0])
+    spread = np.linspace(-0.3, 0.3, len(parts)) if len(parts) > 1 else np.zeros(1)
+    for row, name in enumerate(names):
+        axes.scatter(
+            [each[name] for each in parts], row + spread, s=12, c=[_COLOURS[fate] for fate in fates], alpha=0.7
+        )
+    axes.set(xlim=(0, 1.02), yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.5, -0.5))
+    axes.set(xlabel="each part of it; an episode's worst is its quality", title="What it is made of")
+    axes.grid(axis="x", alpha=0.3)
+
+
+def _draw_worst(axes: Axes, outcome: dict[str, Any], fate: str, picture: np.ndarray) -> None:
+    entry, frame = outcome["entry"], outcome["worst"]["frame"]
+    axes.imshow(picture)
+    axes.set(xticks=[], yticks=[])
+    title = f"episode {entry['episode']}: {entry['quality']:.2f}\n{entry['weakest']}, frame {frame}"
+    axes.set_title(
+        title if fate == KEPT else f"{title}, {fate}", fontsize=11, color="k" if fate == KEPT else _COLOURS[fate]
+    )
+
+
+def _portraits(worst: Sequence[dict[str, Any]], converter: Converter) -> list[np.ndarray]:
+    """The target at one frame of each episode, its pads and the source's: (H, W, 3) uint8 each."""
+    scene, frames = converter.reader.scene, np.array([each["frame"] for each in worst])
+
+    def side(role: str, embodiment: Embodiment, T_world_base: np.ndarray) -> Side:
+        qpos = np.array([each[f"qpos_{role}"] for each in worst])
+        demonstration = Demonstration(embodiment.name, 1.0, qpos, qpos, replace(scene, T_world_base=T_world_base))
+        return make_side(role, embodiment, demonstration, frames)
+
+    source = side("source", converter.transfer.source, scene.T_world_base)
+    target = side("target", converter.transfer.target, converter.T_world_target)
+    return draw_moments(View((source, target), "", {}), target, range(len(worst)), supersample=1)

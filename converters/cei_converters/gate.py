@@ -1,0 +1,77 @@
+"""The quality gate: which converted episodes are left out for a low score, and which are marked."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cei_gym.errors import CEIError
+
+KEPT, FLAGGED, DROPPED = "kept", "flagged", "dropped"
+_SHOWN = 10
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Bounds on the score of an episode (`cei_gym.alignment.Quality`), each in [0, 1] or None.
+
+    Attributes:
+        min_quality: what is below is left out.
+        flag: what is below, and not left out, is marked.
+
+    Raises:
+        CEIError: a bound is no score, or nothing could be marked.
+    """
+
+    min_quality: float | None = None
+    flag: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, bound in self.bounds.items():
+            if not 0 <= bound <= 1:
+                raise CEIError(f"--{name}={bound:g}: qualities are from 0 to 1.")
+        if self.min_quality is not None and self.flag is not None and self.flag <= self.min_quality:
+            raise CEIError(
+                f"--flag={self.flag:g} marks nothing that --min_quality={self.min_quality:g} keeps; give it a higher value."
+            )
+
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Those that are given, by the name of their option."""
+        return {name: bound for name, bound in vars(self).items() if bound is not None}
+
+    def fate(self, score: float) -> str:
+        """What becomes of an episode: KEPT, FLAGGED or DROPPED."""
+        if self.min_quality is not None and score < self.min_quality:
+            return DROPPED
+        return FLAGGED if self.flag is not None and score < self.flag else KEPT
+
+    def judge(self, entries: Sequence[dict[str, Any]]) -> dict[str, list[int]]:
+        """The result of a gated conversion: which episodes are `dropped` and which `flagged`.
+
+        Args:
+            entries: per episode `episode` and its score, `quality`.
+
+        Raises:
+            CEIError: all are dropped.
+        """
+        fates = {entry["episode"]: self.fate(entry["quality"]) for entry in entries}
+        found = {fate: [episode for episode, its in fates.items() if its == fate] for fate in (DROPPED, FLAGGED)}
+        if entries and len(found[DROPPED]) == len(entries):
+            best = max(entry["quality"] for entry in entries)
+            raise CEIError(
+                f"no episode of {len(entries)} reaches --min_quality={self.min_quality:g} (the best has {best:.2f}), so all "
+                "are dropped and nothing is written; lower it."
+            )
+        return found
+
+
+def in_words(judged: dict[str, list[int]]) -> str:
+    """`Gate.judge` in one line."""
+    return ", ".join(f"{fate} {_listed(episodes)}" for fate, episodes in judged.items())
+
+
+def _listed(episodes: Sequence[int]) -> str:
+    if not episodes:
+        return "0"
+    more = ", ..." if len(episodes) > _SHOWN else ""
+    return f"{len(episodes)} (episode {', '.join(map(str, episodes[:_SHOWN]))}{more})"
