@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cei_converters import calibration
+from cei_converters.augment import check_left, count, counted
 from cei_converters.cli import run
 from cei_converters.conversion.config import ConvertConfig, check_options
 from cei_converters.quality import check_reached, print_table
-from cei_converters.verify import Verdict, check_kept, sentence, summarise, without
+from cei_converters.verify import Verdict, check_kept, sentence, summarise
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ EXAMPLE = (
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa --verify --verify.drop
   cei-convert --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --calibration=cameras.yaml \\
       --target=IIWA-Inspire --new_repo_id=me/real_iiwa
+  cei-convert --dataset.repo_id=me/pick_panda --episodes=0 --target=UR5e-FourierRight --new_repo_id=me/pick_anywhere \\
+      --augment.grid=10,10 --augment.range=0.2,0.2 --augment.rotation_deg=30
 
 """
     + calibration.FORMAT
@@ -68,8 +71,9 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         place = stack.enter_context(Workplace(root, config.resume))
         converter = stack.enter_context(Converter(config))
         reader = converter.reader
-        reader.check_videos(converter.selected)
-        print(_about_cameras(reader))
+        if converter.cameras:
+            reader.check_videos(converter.selected)
+        print(_about_cameras(reader, bool(converter.cameras)))
         local = config.executor == "local"
         workers = config.workers or (local and os.cpu_count()) or len(converter.selected)
         if local and processes_for(workers, -(-len(converter.selected) // config.shard_episodes)) > 1:
@@ -99,14 +103,19 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         convert_shards(place, plan, converter, workers, lambda done: progress.update(task, completed=done))
         progress.stop()
         found = list(outcomes(place, plan))
-        entries, residuals = ([outcome[name] for outcome in found] for name in ("entry", "residuals"))
+        kept = [outcome for outcome in found if not outcome["left_out"]]
+        entries, residuals = ([outcome[name] for outcome in kept] for name in ("entry", "residuals"))
         verdicts = [Verdict(**outcome["verdict"]) for outcome in found if outcome["verdict"] is not None]
-        print_table(_rows(entries, verdicts), f"{reader.embodiment.name} -> {config.target}")
+        print_table(_rows(found, verdicts), f"{reader.embodiment.name} -> {config.target}")
         summary = summarise(verdicts) if verdicts else None
         if summary is not None:
             print(f"Verification: {sentence(summary)}.")
             check_kept(summary)
-            entries, residuals = (without(summary["dropped"], each) for each in (entries, residuals))
+        augmented = None
+        if config.augment.enabled:
+            augmented = count(outcome["left_out"] for outcome in found)
+            print(f"Augmentation: {counted(augmented)}.")
+            check_left(augmented)
         result = {
             "source": {"repo_id": reader.repo_id, "embodiment": reader.embodiment.name},
             "target": config.target,
@@ -114,13 +123,14 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "root": None if config.dry_run else str(place.root),
             "dry_run": config.dry_run,
             "depth_cameras": list(reader.depth_cameras),
-            "passed_through": list(reader.cameras),
+            "passed_through": list(converter.cameras),
             "ignored_features": reader.ignored_features,
             "episodes": len(entries),
             "frames": sum(entry["frames"] for entry in entries),
             "results": entries,
             "residuals": residuals,
             **({"verify": summary} if summary is not None else {}),
+            **({"augment": augmented} if augmented is not None else {}),
         }
         if config.dry_run:
             write_json(config.json, result)
@@ -159,7 +169,7 @@ def _new_root(config: ConvertConfig) -> Path:
     return Path(config.new_root) if config.new_root is not None else default_root(str(config.new_repo_id))
 
 
-def _about_cameras(reader: "DatasetReader") -> str:
+def _about_cameras(reader: "DatasetReader", pass_through: bool) -> str:
     """One line: what becomes of the dataset's cameras."""
     if reader.depth_cameras:
         clouds = f"Clouds are made from the depth of {', '.join(reader.depth_cameras)}"
@@ -169,6 +179,8 @@ def _about_cameras(reader: "DatasetReader") -> str:
         clouds = "Neither depth nor clouds: converted in joints"
     if not reader.cameras:
         return clouds + "."
+    if not pass_through:
+        return f"{clouds}; left out, as they show objects where they were recorded: {', '.join(reader.cameras)}."
     return f"{clouds}; passed through untouched, so they still show the source robot: {', '.join(reader.cameras)}."
 
 
@@ -197,6 +209,7 @@ def _provenance(config: ConvertConfig, reader: "DatasetReader") -> "Provenance":
         "contact": config.contact,
         "transfer": config.transfer,
         "clouds": config.clouds,
+        **({"augment": config.augment} if config.augment.enabled else {}),
         **({"verify": config.verify} if config.verify.enabled else {}),
     }
     return collect(options, source=source)
@@ -207,11 +220,14 @@ def _revision(root: Path) -> str | None:
     return root.name if root.parent.name == "snapshots" else None
 
 
-def _rows(entries: list[dict[str, Any]], verdicts: list[Verdict]) -> list[dict[str, Any]]:
-    """The table's rows, with what verification found, if there was any."""
-    if not verdicts:
-        return entries
-    return [entry | verdict.row() for entry, verdict in zip(entries, verdicts, strict=True)]
+def _rows(outcomes: list[dict[str, Any]], verdicts: list[Verdict]) -> list[dict[str, Any]]:
+    """The table's rows, with what verification found, if there was any, and why the augmented are left out, if any is."""
+    rows = [outcome["entry"] for outcome in outcomes]
+    if verdicts:
+        rows = [row | verdict.row() for row, verdict in zip(rows, verdicts, strict=True)]
+    elif any(outcome["left_out"] for outcome in outcomes):
+        rows = [row | {"left_out": outcome["left_out"]} for row, outcome in zip(rows, outcomes, strict=True)]
+    return rows
 
 
 def main(args: list[str] | None = None) -> int:
