@@ -4,17 +4,21 @@ The objects stand displaced by T_i from the first frame on; the source's hand go
 is with them as it was recorded once L is 1.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cei_gym.demonstration import Boxes, Demonstration, Displacement, Region
+from cei_gym.demonstration import Demonstration
+from cei_gym.displacement import Boxes, Displacement, Region, Seen
 from cei_gym.errors import CEIError
+from cei_gym.pointcloud import fuse_depth
 
 RAMP = 0.8
 """Share of the way's frames after which all of the offset is reached (the paper's)."""
 _MARGIN_M = 0.01  # around what the state says of an object: depth is noisy
+_SAME_M = 0.002  # two clouds of one camera have the same points
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _HALF = ("half_x_m", "half_y_m", "half_z_m")
 
@@ -196,6 +200,21 @@ def carried_box(box_world: np.ndarray, handling: Handling) -> Boxes:
         if handling.held[t] and handling.held[t - 1]:
             T[t, 1] = handling.T_world_hand[t] @ np.linalg.inv(handling.T_world_hand[t - 1]) @ T[t - 1, 1]
     return Boxes(T, np.tile(np.diff(box_world, axis=0) / 2, (2, 1)))
+
+
+def segmented(demonstration: Demonstration, masks: Mapping[str, np.ndarray]) -> Seen:
+    """What images show to be objects.
+
+    Args:
+        demonstration: with depth images.
+        masks: camera name to (T, H, W) bool, pixel for pixel with its depth.
+    """
+    d = demonstration
+    objects = [
+        fuse_depth(d.scene, {name: np.where(mask[t], d.depth_m[name][t], 0) for name, mask in masks.items()})
+        for t in range(len(d))
+    ]
+    return Seen(objects, _SAME_M)
 
 
 def _objects(names: tuple[str, ...]) -> dict[str, dict[str, int]]:

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol, Self
 
 import numpy as np
 
+from cei_gym.displacement import Displacement
 from cei_gym.errors import CEIError
 
 
@@ -40,69 +40,6 @@ class Scene:
     T_world_base: np.ndarray
     cameras: tuple[Camera, ...]
     workspace_world: np.ndarray
-
-
-class Region(Protocol):
-    """Which points of T frames belong to objects."""
-
-    def contains(self, points_world: np.ndarray, t: int) -> np.ndarray:
-        """(N,) bool of the points (N, 3) recorded at frame t, m."""
-        ...
-
-    def at(self, frames: np.ndarray) -> Self:
-        """The region with its frames at these indices."""
-        ...
-
-
-@dataclass(frozen=True)
-class Boxes:
-    """A region of boxes that may move.
-
-    Attributes:
-        T_world_box: (T, K, 4, 4) poses of their middles.
-        half_m: (K, 3) half sizes, m.
-    """
-
-    T_world_box: np.ndarray
-    half_m: np.ndarray
-
-    def contains(self, points_world: np.ndarray, t: int) -> np.ndarray:
-        """(N,) which points are in any of the boxes at frame t."""
-        inside = np.zeros(len(points_world), bool)
-        for T, half in zip(self.T_world_box[t], self.half_m, strict=True):
-            inside |= (np.abs((points_world - T[:3, 3]) @ T[:3, :3]) <= half).all(axis=1)
-        return inside
-
-    def at(self, frames: np.ndarray) -> "Boxes":
-        """The boxes with their frames at these indices."""
-        return replace(self, T_world_box=self.T_world_box[frames])
-
-
-@dataclass(frozen=True)
-class Displacement:
-    """How a demonstration differs from what was recorded (`cei_gym.augmentation`).
-
-    Attributes:
-        T_world_objects: (4, 4) motion of the objects, the same at all frames.
-        T_world_source: (T, 4, 4) motion of the whole source, with its base, from where it was recorded.
-        objects: which of the points that are not the source's move with the objects; None for all.
-    """
-
-    T_world_objects: np.ndarray
-    T_world_source: np.ndarray
-    objects: Region | None = None
-
-    def move(self, points_world: np.ndarray, t: int) -> np.ndarray:
-        """Frame t's recorded points (N, 3 or 6), m, without the source's; those of objects moved."""
-        T, moved = self.T_world_objects, points_world.copy()
-        which = slice(None) if self.objects is None else self.objects.contains(points_world[:, :3], t)
-        moved[which, :3] = moved[which, :3] @ T[:3, :3].T + T[:3, 3]
-        return moved
-
-    def at(self, frames: np.ndarray) -> "Displacement":
-        """The displacement with its frames at these indices."""
-        objects = None if self.objects is None else self.objects.at(frames)
-        return replace(self, T_world_source=self.T_world_source[frames], objects=objects)
 
 
 @dataclass(frozen=True)

@@ -3,17 +3,22 @@
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cei_converters import schema
 from cei_converters.options import parse_numbers
-from cei_gym.augmentation import RAMP, Handling, Offset, boxes_of_state, carried_box, displace, grid_offsets
-from cei_gym.demonstration import Demonstration, Region
+from cei_gym.augmentation import RAMP, Handling, Offset, boxes_of_state, carried_box, displace, grid_offsets, segmented
+from cei_gym.demonstration import Demonstration
+from cei_gym.displacement import Region
 from cei_gym.errors import CEIError, unknown
 from cei_gym.transfer import Transfer
 
-CHOICES = ("all", "state", "box")
+if TYPE_CHECKING:
+    from cei_converters.reader import DatasetReader
+
+CHOICES = ("all", "state", "box", "segmentation")
 RAMPS = ("approach", "episode")
 
 
@@ -30,7 +35,7 @@ class AugmentOptions:
         ramp_over: approach (until the hand first takes hold, as objects stand elsewhere from the start; if it never does, the
             whole episode) or episode (the paper, whose demonstrations end at the object).
         objects: which points are moved: all (that are not the robot's), state (where observation.environment_state says that
-            objects are) or box.
+            objects are), box or segmentation (where observation.segmentation.<depth camera> is bright).
         box: where objects are at first: x0,y0,z0,x1,y1,z1, m, world; what of it the hand carries is followed.
         half_m: half size of objects whose size the state does not say, m.
     """
@@ -106,11 +111,20 @@ class Augmentation:
 
     Args:
         options: see there; enabled.
-        transfer: of the demonstrations.
+        reader: of the demonstrations.
+        transfer: of them, too.
+
+    Raises:
+        CEIError: what objects are to be told by is not in the dataset.
     """
 
-    def __init__(self, options: AugmentOptions, transfer: Transfer) -> None:
-        self._options, self._transfer, self._places = options, transfer, options.places
+    def __init__(self, options: AugmentOptions, reader: "DatasetReader", transfer: Transfer) -> None:
+        self._options, self._reader, self._transfer, self._places = options, reader, transfer, options.places
+        if options.objects == "segmentation" and not reader.segmented:
+            key = schema.SEGMENTATION_PREFIX + "<camera>"
+            raise CEIError(
+                f"{reader.repo_id} has no {key} as large as a depth camera's; choose other --augment.objects."
+            )
 
     def __len__(self) -> int:
         """Variants of an episode."""
@@ -145,6 +159,8 @@ class Augmentation:
                     f"episode {recorded.index} has no observation.environment_state; choose other --augment.objects."
                 )
             return boxes_of_state(recorded.environment_state, recorded.environment_state_names, o.half_m)
+        if o.objects == "segmentation":
+            return segmented(recorded, self._reader.masks(recorded.index))
         return None if o.box_world is None else carried_box(o.box_world, handling)
 
 

@@ -71,8 +71,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         place = stack.enter_context(Workplace(root, config.resume))
         converter = stack.enter_context(Converter(config))
         reader = converter.reader
-        if converter.cameras:
-            reader.check_videos(converter.selected)
+        reader.check_videos(sorted(set(converter.selected)))
         print(_about_cameras(reader, bool(converter.cameras)))
         local = config.executor == "local"
         workers = config.workers or (local and os.cpu_count()) or len(converter.selected)
@@ -221,12 +220,12 @@ def _revision(root: Path) -> str | None:
 
 
 def _rows(outcomes: list[dict[str, Any]], verdicts: list[Verdict]) -> list[dict[str, Any]]:
-    """The table's rows, with what verification found, if there was any, and why the augmented are left out, if any is."""
+    """The table's rows, with why episodes are left out, if any is, and what verification found, if there was any."""
     rows = [outcome["entry"] for outcome in outcomes]
+    if any(outcome["left_out"] for outcome in outcomes):
+        rows = [row | {"left_out": outcome["left_out"] or None} for row, outcome in zip(rows, outcomes, strict=True)]
     if verdicts:
         rows = [row | verdict.row() for row, verdict in zip(rows, verdicts, strict=True)]
-    elif any(outcome["left_out"] for outcome in outcomes):
-        rows = [row | {"left_out": outcome["left_out"]} for row, outcome in zip(rows, outcomes, strict=True)]
     return rows
 
 

@@ -20,6 +20,7 @@ from cei_gym.errors import CEIError
 # how far outside its range a joint may be read before its unit must be wrong
 UNIT_SLACK = {"rad": np.pi, "m": 0.5}
 WRONG_UNIT = {"rad": "degrees; convert to rad", "m": "millimetres or percent; convert to m"}
+BRIGHT = 127
 # stands in for the workspace of a dataset that does not say: about any arm's reach
 DEFAULT_WORKSPACE_M = np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
 
@@ -93,11 +94,14 @@ class DatasetReader:
                 f"two depth features are of one camera: {', '.join(self._depth)}; their last parts should differ."
             )
         pairs = {camera.name: (camera.height, camera.width, 3) for camera in self._depth.values()}
-        self._rgb = {
-            camera_name(key): key
+        belonging = [
+            key
             for key in self._meta.camera_keys
             if key not in self._depth and tuple(features[key]["shape"]) == pairs.get(camera_name(key))
-        }
+        ]
+        masks = [key for key in belonging if key.startswith(schema.SEGMENTATION_PREFIX)]
+        self._masks = {camera_name(key): key for key in masks}
+        self._rgb = {camera_name(key): key for key in belonging if key not in masks}
         self.cameras = {key: features[key] for key in self._meta.camera_keys if key not in self._depth}
         used = {schema.STATE, schema.ACTION, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._meta.camera_keys}
         own = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
@@ -107,6 +111,11 @@ class DatasetReader:
     def has_clouds(self) -> bool:
         """Whether point clouds are recorded."""
         return schema.POINT_CLOUD in self._meta.features
+
+    @property
+    def segmented(self) -> bool:
+        """Whether a picture says where a depth camera sees objects."""
+        return bool(self._masks)
 
     @property
     def fps(self) -> float:
@@ -207,6 +216,16 @@ class DatasetReader:
             CEIError: a picture, a video or statistics are missing.
         """
         return read_pictures(self.root, self._meta, index, list(self.cameras))
+
+    def masks(self, index: int) -> dict[str, np.ndarray]:
+        """Depth camera's name to (T, H, W) bool, where it sees objects; none without a feature that says so.
+
+        Raises:
+            CEIError: a picture or a video is missing or damaged.
+        """
+        images = [key for key in self._masks.values() if key in self._meta.image_keys]
+        table = read_columns(self.root, self._meta, index, ["timestamp", *images])
+        return {name: self._pictures(index, key, table).max(-1) > BRIGHT for name, key in self._masks.items()}
 
     def _pictures(self, index: int, key: str, table: Any) -> np.ndarray:
         """(T, H, W, 3) uint8."""

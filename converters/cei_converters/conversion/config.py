@@ -40,9 +40,7 @@ class ConvertConfig:
     contact: ContactOptions = field(default_factory=ContactOptions)
     transfer: TransferOptions = field(default_factory=TransferOptions)
     clouds: CloudOptions = field(default_factory=CloudOptions)
-    augment: AugmentOptions = field(
-        default_factory=AugmentOptions
-    )  # One demonstration becomes many, its objects elsewhere.
+    augment: AugmentOptions = field(default_factory=AugmentOptions)  # Objects elsewhere, with --augment.grid.
     verify: VerifyOptions = field(default_factory=VerifyOptions)  # Replay and retry, with --verify.
 
 

@@ -72,7 +72,7 @@ class Converter:
         )
         self._augmentation, self.cameras = None, self.reader.cameras
         if config.augment.enabled:
-            self._augmentation, self.cameras = Augmentation(config.augment, self.transfer), {}
+            self._augmentation, self.cameras = Augmentation(config.augment, self.reader, self.transfer), {}
             self.selected = [index for index in self.selected for _ in range(len(self._augmentation))]
         self.environment = _environment(self.reader, config.target)
         self._opened = contextlib.ExitStack()
@@ -136,7 +136,7 @@ class Converter:
         if offset is not None:
             record["offset"] = plain(offset)
         entry = {"episode": index, **record.get("offset", {}), "frames": len(moved), **summary}
-        for of_the_source in ("verified", "source_frames"):
+        for of_the_source in ("verified", "source_frames", "offset"):
             record.pop(of_the_source, None)
         if verdict is not None:
             record["verified"] = verdict.record()
