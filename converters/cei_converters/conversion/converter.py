@@ -93,7 +93,8 @@ class Converter:
         """Choose where trajectories start, on a few episodes."""
         spread = sorted({round(i) for i in np.linspace(0, len(self.selected) - 1, FIT_EPISODES)})
         with one_thread():
-            self.transfer.fit([self._read(i, colours=False)[0] for i in spread])
+            read = [self._read(i, colours=False) for i in spread]
+            self.transfer.fit([demonstration for demonstration, _, inside in read if inside] or [read[0][0]])
 
     def start_from(self, finalists: "Sequence[Basin]") -> None:
         """Take what `fit` found elsewhere."""
@@ -133,11 +134,11 @@ class Converter:
             moved, report, verdict = self._verifier(recorded, mode)
         summary = report.summary() | ({"mode": mode} if config.init.modes > 1 else {})
         record = {**self.reader.record(index), "source_episode": index}
+        for of_the_source in ("verified", "source_frames", "offset"):
+            record.pop(of_the_source, None)
         if offset is not None:
             record["offset"] = plain(offset)
         entry = {"episode": index, **record.get("offset", {}), "frames": len(moved), **summary}
-        for of_the_source in ("verified", "source_frames", "offset"):
-            record.pop(of_the_source, None)
         if verdict is not None:
             record["verified"] = verdict.record()
         source_frames = None if moved.source_frames is None else moved.source_frames.tolist()
