@@ -56,18 +56,17 @@ def draw(path: Path, ways: dict[str, dict]) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, panels = plt.subplots(1, len(ways), figsize=(4.2 * len(ways), 4.4), sharey=True)
+    figure, panels = plt.subplots(1, len(ways), figsize=(3 * len(ways), 3.6), sharey=True, layout="constrained")
     for panel, (name, way) in zip(panels, ways.items(), strict=True):
         episodes = way["episodes"]
         colours = ["#c22" if episode["failure"] else "#2a2" for episode in episodes]
-        panel.scatter([100 * e["x_m"] for e in episodes], [100 * e["y_m"] for e in episodes], s=40, c=colours)
+        panel.scatter([100 * e["x_m"] for e in episodes], [100 * e["y_m"] for e in episodes], s=24, c=colours)
         panel.plot(0, 0, "k+", markersize=14)
-        panel.set_title(f"{name}: {way['successes']} of {way['replayed']}", fontsize=10)
-        panel.set_xlabel("x against the recorded cube (cm)")
+        panel.set_title(f"{name}: {way['successes']} of {way['replayed']}", fontsize=9)
+        panel.set_xlabel("x (cm)")
         panel.set_aspect("equal")
-    panels[0].set_ylabel("y (cm)")
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    panels[0].set_ylabel("y (cm), from the recorded cube")
+    figure.savefig(path, dpi=100)
 
 
 def main() -> None:

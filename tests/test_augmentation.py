@@ -110,13 +110,13 @@ def test_a_state_without_places_is_refused() -> None:
 
 def test_what_the_hand_carries_takes_its_part_of_the_box_along() -> None:
     boxes = carried_box(np.array([[-0.02, -0.02, 0.0], [0.1, 0.02, 0.04]]), handling([4, 5, 6]))
-    corner = np.array([0.09, 0.01, 0.03])
-    carried = Rotation.from_rotvec([0, 0, 0.2]).apply(corner) + [0, 0, 0.02]  # two frames of the hand's way
-    high = np.array([0.0, 0.0, 0.055])
-    for t, (there, up) in {3: (False, False), 4: (False, False), 6: (True, True), 9: (True, True)}.items():
-        assert boxes.contains(np.array([corner, carried, high, [0.0, 0.05, 0.02]]), t).tolist() == [
-            True, there, up, False,
-        ]  # fmt: skip
+    middle = np.array([0.04, 0.0, 0.02])
+    carried = Rotation.from_rotvec([0, 0, 0.2]).apply(middle) + [0, 0, 0.02]  # two frames of the hand's way
+    for t, where in {3: middle, 4: middle, 6: carried, 9: carried}.items():
+        np.testing.assert_allclose(boxes.T_world_box[t, :, :3, 3], [middle, where], atol=1e-12)
+    points = np.array([[0.09, 0.01, 0.03], [0.06, 0.03, 0.055], [0.09, -0.01, 0.055]])
+    assert boxes.contains(points, 3).tolist() == [True, False, False]
+    assert boxes.contains(points, 9).tolist() == [True, True, False]
 
 
 def test_the_state_says_where_objects_are() -> None:
