@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cei_gym.displacement import Displacement
 from cei_gym.errors import CEIError
 
 
@@ -60,6 +61,8 @@ class Demonstration:
         index: the episode's index in the dataset that it came from.
         figures: how well it could be read, where that is in question, such as `ik_position_mm`.
         source_frames: (T,) which frames of that episode these are, where they are not all of it in turn; else None.
+        displacement: how what it shows is moved, if it is; state of the objects is already where it should be, joints, images and
+            cloud are as recorded.
     """
 
     embodiment: str
@@ -76,6 +79,7 @@ class Demonstration:
     index: int = 0
     figures: Mapping[str, float] = field(default_factory=dict)
     source_frames: np.ndarray | None = None
+    displacement: Displacement | None = None
 
     def __post_init__(self) -> None:
         where = f"episode {self.index}"
@@ -109,4 +113,5 @@ class Demonstration:
             point_cloud_world=taken(self.point_cloud_world),
             environment_state=taken(self.environment_state),
             source_frames=frames if self.source_frames is None else self.source_frames[frames],
+            displacement=None if self.displacement is None else self.displacement.at(frames),
         )

@@ -32,13 +32,14 @@ from cei_gym.alignment import (
     source_grip,
     squeeze,
 )
+from cei_gym.augmentation import Handling
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
 from cei_gym.errors import CEIError, unknown
 from cei_gym.functional import VARIANTS, FunctionalRepresentation, directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree
-from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, frame_points
+from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, crop, frame_points
 from cei_gym.pointcloud.isolated import isolated
 from cei_gym.pointcloud.remember import remember
 
@@ -248,6 +249,7 @@ class Transfer:
                 depth_m={},
                 rgb={},
                 point_cloud_world=self._clouds(demonstration, scenes, qpos) if clouds else None,
+                displacement=None,
             ),
             report,
         )
@@ -278,8 +280,19 @@ class Transfer:
         return LiveTransfer(self, stream, np.eye(4) if T_target_source is None else T_target_source)
 
     def place_source(self, qpos: np.ndarray, T_target_source: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The source's points and normals (..., N, 3) in the target's base frame, at (..., n) joint positions."""
-        return self.source_representation.place(T_target_source @ self._source_tree.forward(qpos))
+        """The source's points and normals (..., N, 3) in the target's base frame, at (..., n) joint positions.
+
+        T_target_source is (4, 4), or (..., 4, 4): one for each.
+        """
+        return self.source_representation.place(T_target_source[..., None, :, :] @ self._source_tree.forward(qpos))
+
+    def handling(self, demonstration: Demonstration) -> Handling:
+        """What the source does to objects, as recorded: for spatial augmentation."""
+        motion = self._motion(demonstration)
+        T_world_target = self._base(demonstration)
+        held = np.zeros(len(demonstration), bool) if motion.grip is None else motion.grip.held
+        middle = motion.points_base.mean(axis=1) @ T_world_target[:3, :3].T + T_world_target[:3, 3]
+        return Handling(held, middle, T_world_target @ self._source_links(demonstration)[:, self._root])
 
     def _with_pads(self, representation: str) -> "Transfer":
         """This transfer with other points on the pads; it starts where this one does."""
@@ -384,10 +397,15 @@ class Transfer:
 
     def _source_links(self, demonstration: Demonstration) -> np.ndarray:
         """(T, L, 4, 4) the source's links in the target's base frame."""
-        return self._T_target_source(demonstration) @ self._source_tree.forward(demonstration.qpos)
+        T_target_source = self._T_target_source(demonstration)
+        return T_target_source[..., None, :, :] @ self._source_tree.forward(demonstration.qpos)
 
     def _T_target_source(self, demonstration: Demonstration) -> np.ndarray:
-        return np.linalg.inv(self._base(demonstration)) @ demonstration.scene.T_world_base
+        """(4, 4), or (T, 4, 4) where the source is displaced."""
+        T_world_source, moved = demonstration.scene.T_world_base, demonstration.displacement
+        if moved is not None:
+            T_world_source = moved.T_world_source @ T_world_source
+        return np.linalg.inv(self._base(demonstration)) @ T_world_source
 
     def _obstacles(
         self, demonstration: Demonstration, scenes: Sequence[np.ndarray], hand_base: np.ndarray, grip: Grip | None
@@ -402,13 +420,18 @@ class Transfer:
         return remember(objects, hand_base, moved, _NEAR_HAND_M)
 
     def _scenes(self, demonstration: Demonstration) -> list[np.ndarray]:
-        """For each frame the recorded points (M, 3 or 6) without the source robot, world; empty where nothing was recorded."""
+        """For each frame the recorded points (M, 3 or 6) without the source robot, world, objects displaced if they are to be;
+        empty where nothing was recorded."""
         d, scenes = demonstration, []
         for t, qpos in enumerate(d.qpos):
             points = self._recorded(d, t)
             if points is None:
                 return []
-            scenes.append(self._synthesiser.remove(points, d.scene, qpos))
+            points = self._synthesiser.remove(points, d.scene, qpos)
+            if d.displacement is not None:
+                points = d.displacement.move(points, t)
+                points = points[crop(points, d.scene.workspace_world)]
+            scenes.append(points)
         return scenes
 
     def _recorded(self, d: Demonstration, t: int) -> np.ndarray | None:
@@ -423,6 +446,10 @@ class Transfer:
         if not scenes:
             return None
         if not self.clouds.swap:
+            if demonstration.displacement is not None:
+                raise CEIError(
+                    "clouds.swap=false keeps the source in the clouds, which cannot be displaced with objects."
+                )
             recorded = (self._recorded(demonstration, t) for t in range(len(demonstration)))
             return np.stack([self._synthesiser.keep(p, demonstration.scene) for p in recorded if p is not None])
         scene = replace(demonstration.scene, T_world_base=self._base(demonstration))

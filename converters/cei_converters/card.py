@@ -58,6 +58,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     sections = [
         _introduction(repo_id, metadata, info),
         _quality(root, metadata),
+        _augmented(metadata),
         _verified(metadata),
         _cameras(metadata, info),
         _layout(metadata, info),
@@ -136,6 +137,23 @@ def _gated(metadata: Metadata) -> str:
         flagged = [str(index) for index, record in enumerate(metadata.episodes) if record.get("flagged")]
         text += f" Those below {options['flag']:g} are `flagged` in `{METADATA_PATH}`: {', '.join(flagged) or 'none'}."
     return text
+
+
+def _augmented(metadata: Metadata) -> str:
+    moved = [record for record in metadata.episodes if "offset" in record]
+    if not moved:
+        return ""
+    rows = []
+    for name in moved[0]["offset"]:
+        values = [record["offset"][name] for record in moved]
+        rows.append((f"`{name}`", f"{min(values):.4g}", f"{max(values):.4g}"))
+    return (
+        f"## Spatial augmentation\n\n{len({record['source_episode'] for record in moved})} recorded episodes became "
+        f"{len(moved)}: in each, all objects are moved as one from where they were recorded, and the hand goes where they are. "
+        "Their points move rigidly: what a camera did not see of them, or behind them, where they were recorded is also missing "
+        f"where they are now. Per episode in `{METADATA_PATH}`, under `offset`; `seed` there is that of the recorded start.\n\n"
+        + _table(("offset", "least", "largest"), rows)
+    )
 
 
 def _verified(metadata: Metadata) -> str:

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cei_converters import calibration, joint_map, pose
+from cei_converters.augment import check_left, count, counted
 from cei_converters.cli import run
 from cei_converters.conversion.config import ConvertConfig, check_options
-from cei_converters.gate import DROPPED, Gate, in_words
+from cei_converters.gate import LOW_QUALITY, in_words
 from cei_converters.quality import check_reached, print_table
-from cei_converters.verify import Verdict, check_kept, sentence, summarise, without
+from cei_converters.verify import Verdict, check_kept, sentence, summarise
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ EXAMPLE = """example:
       --min_quality=0.3 --flag=0.6 --push_to_hub --branch=iiwa
   cei-convert --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --calibration=cameras.yaml \\
       --target=IIWA-Inspire --new_repo_id=me/real_iiwa
+  cei-convert --dataset.repo_id=me/pick_panda --episodes=0 --target=UR5e-FourierRight --new_repo_id=me/pick_anywhere \\
+      --augment.grid=10,10 --augment.range=0.2,0.2 --augment.rotation_deg=30
 
 """ + "\n\n".join((calibration.FORMAT, joint_map.FORMAT, pose.FORMAT))
 
@@ -71,8 +74,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         place = stack.enter_context(Workplace(root, config.resume))
         converter = stack.enter_context(Converter(config))
         reader = converter.reader
-        reader.check_videos(converter.selected)
-        print(_about_cameras(reader))
+        reader.check_videos(sorted(set(converter.selected)))
+        print(_about_cameras(reader, bool(converter.cameras)))
         local = config.executor == "local"
         workers = config.workers or (local and os.cpu_count()) or len(converter.selected)
         if local and processes_for(workers, -(-len(converter.selected) // config.shard_episodes)) > 1:
@@ -102,18 +105,23 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         convert_shards(place, plan, converter, workers, lambda done: progress.update(task, completed=done))
         progress.stop()
         found = list(outcomes(place, plan))
-        entries, residuals = ([outcome[name] for outcome in found] for name in ("entry", "residuals"))
+        kept = [outcome for outcome in found if not outcome["left_out"]]
+        entries, residuals = ([outcome[name] for outcome in kept] for name in ("entry", "residuals"))
         verdicts = [Verdict(**outcome["verdict"]) for outcome in found if outcome["verdict"] is not None]
-        print_table(_rows(entries, verdicts, config.gate), f"{reader.embodiment.name} -> {config.target}")
+        print_table(_rows(found, verdicts), f"{reader.embodiment.name} -> {config.target}")
         summary = summarise(verdicts) if verdicts else None
         if summary is not None:
             print(f"Verification: {sentence(summary)}.")
             check_kept(summary)
-            entries, residuals = (without(summary["dropped"], each) for each in (entries, residuals))
-        judged = config.gate.judge(entries) if config.gate.bounds else None
-        if judged is not None:
+        judged = None
+        if config.gate.bounds:
+            judged = config.gate.judge([o["entry"] for o in found if o["left_out"] in ("", LOW_QUALITY)])
             print(f"Quality: {in_words(judged)}.")
-            entries, residuals = (without(judged[DROPPED], each) for each in (entries, residuals))
+        augmented = None
+        if config.augment.enabled:
+            augmented = count(outcome["left_out"] for outcome in found)
+            print(f"Augmentation: {counted(augmented)}.")
+            check_left(augmented)
         result = {
             "source": {"repo_id": reader.repo_id, "embodiment": reader.embodiment.name},
             "target": config.target,
@@ -121,7 +129,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "root": None if config.dry_run else str(place.root),
             "dry_run": config.dry_run,
             "depth_cameras": list(reader.depth_cameras),
-            "passed_through": list(reader.cameras),
+            "passed_through": list(converter.cameras),
             "ignored_features": reader.ignored_features,
             "episodes": len(entries),
             "frames": sum(entry["frames"] for entry in entries),
@@ -129,6 +137,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "residuals": residuals,
             **({"verify": summary} if summary is not None else {}),
             **({"gate": judged} if judged is not None else {}),
+            **({"augment": augmented} if augmented is not None else {}),
         }
         if config.dry_run:
             write_json(config.json, result)
@@ -180,7 +189,7 @@ def _new_root(config: ConvertConfig) -> Path:
     return Path(config.new_root) if config.new_root is not None else default_root(str(config.new_repo_id))
 
 
-def _about_cameras(reader: "Recorded") -> str:
+def _about_cameras(reader: "Recorded", pass_through: bool) -> str:
     """One line: what becomes of the dataset's cameras."""
     if reader.depth_cameras:
         clouds = f"Clouds are made from the depth of {', '.join(reader.depth_cameras)}"
@@ -190,6 +199,8 @@ def _about_cameras(reader: "Recorded") -> str:
         clouds = "Neither depth nor clouds: converted in joints"
     if not reader.cameras:
         return clouds + "."
+    if not pass_through:
+        return f"{clouds}; left out, as they show objects where they were recorded: {', '.join(reader.cameras)}."
     return f"{clouds}; passed through untouched, so they still show the source robot: {', '.join(reader.cameras)}."
 
 
@@ -221,6 +232,7 @@ def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
         "contact": config.contact,
         "transfer": config.transfer,
         "clouds": config.clouds,
+        **({"augment": config.augment} if config.augment.enabled else {}),
         **({"verify": config.verify} if config.verify.enabled else {}),
     }
     return collect(options, source=source)
@@ -231,13 +243,18 @@ def _revision(root: Path) -> str | None:
     return root.name if root.parent.name == "snapshots" else None
 
 
-def _rows(entries: list[dict[str, Any]], verdicts: list[Verdict], gate: Gate) -> list[dict[str, Any]]:
-    """The table's rows, with what gate and verification found, if there are any."""
-    if gate.bounds:
-        entries = [entry | {"gate": gate.fate(entry["quality"])} for entry in entries]
-    if not verdicts:
-        return entries
-    return [entry | verdict.row() for entry, verdict in zip(entries, verdicts, strict=True)]
+def _rows(outcomes: list[dict[str, Any]], verdicts: list[Verdict]) -> list[dict[str, Any]]:
+    """The table's rows, with which are flagged, why episodes are left out, and what verification found, if there is any of it."""
+    rows = [outcome["entry"] for outcome in outcomes]
+    for name, values in (
+        ("flagged", ["yes" if outcome["record"].get("flagged") else None for outcome in outcomes]),
+        ("left_out", [outcome["left_out"] or None for outcome in outcomes]),
+    ):
+        if any(values):
+            rows = [row | {name: value} for row, value in zip(rows, values, strict=True)]
+    if verdicts:
+        rows = [row | verdict.row() for row, verdict in zip(rows, verdicts, strict=True)]
+    return rows
 
 
 def main(args: list[str] | None = None) -> int:

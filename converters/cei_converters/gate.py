@@ -7,6 +7,9 @@ from typing import Any
 from cei_gym.errors import CEIError
 
 KEPT, FLAGGED, DROPPED = "kept", "flagged", "dropped"
+LOW_QUALITY = "of low quality"
+"""Why a dropped episode is left out."""
+
 _SHOWN = 10
 
 
@@ -54,8 +57,8 @@ class Gate:
         Raises:
             CEIError: all are dropped.
         """
-        fates = {entry["episode"]: self.fate(entry["quality"]) for entry in entries}
-        found = {fate: [episode for episode, its in fates.items() if its == fate] for fate in (DROPPED, FLAGGED)}
+        fates = [(entry["episode"], self.fate(entry["quality"])) for entry in entries]
+        found = {fate: [episode for episode, its in fates if its == fate] for fate in (DROPPED, FLAGGED)}
         if entries and len(found[DROPPED]) == len(entries):
             best = max(entry["quality"] for entry in entries)
             raise CEIError(

@@ -38,3 +38,18 @@ def parse_pose(option: str, text: str | None) -> np.ndarray | None:
     except ValueError as error:
         raise CEIError(f"{option}={text} should read x,y,z or x,y,z,qw,qx,qy,qz (metres).") from error
     return T
+
+
+def parse_numbers(option: str, text: str, example: str) -> list[float]:
+    """`0.2,0.2` or `[0.2, 0.2]` -> finite numbers, as many as the example has.
+
+    Raises:
+        CEIError: it reads otherwise.
+    """
+    try:
+        numbers = [float(part) for part in text.strip().strip("[]").split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(example.split(",")) or not np.isfinite(numbers).all():
+        raise CEIError(f"{option}={text} should read like {example}.")
+    return numbers

@@ -19,6 +19,8 @@ from cei_converters.source import Source, scene_without_metadata
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.errors import CEIError
 
+BRIGHT = 127
+
 
 class DatasetReader(Source):
     """A checked dataset of one embodiment.
@@ -98,11 +100,15 @@ class DatasetReader(Source):
                 f"two depth features are of one camera: {', '.join(self._depth)}; their last parts should differ."
             )
         pairs = {camera.name: (camera.height, camera.width, 3) for camera in self._depth.values()}
-        self._rgb = {
-            camera_name(key): key
+        belonging = [
+            key
             for key in self._meta.camera_keys
             if key not in self._depth and tuple(features[key]["shape"]) == pairs.get(camera_name(key))
-        }
+        ]
+        masks = [key for key in belonging if key.startswith(schema.SEGMENTATION_PREFIX)]
+        self._masks = {camera_name(key): key for key in masks}
+        self.segmented = bool(masks)
+        self._rgb = {camera_name(key): key for key in belonging if key not in masks}
         self.cameras = {key: features[key] for key in self._meta.camera_keys if key not in self._depth}
         used = {self._state, self._action, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._meta.camera_keys}
         own = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
@@ -179,6 +185,12 @@ class DatasetReader(Source):
             CEIError: a picture, a video or statistics are missing.
         """
         return read_pictures(self.root, self._meta, index, list(self.cameras))
+
+    def masks(self, index: int) -> dict[str, np.ndarray]:
+        """See `Source.masks`."""
+        images = [key for key in self._masks.values() if key in self._meta.image_keys]
+        table = read_columns(self.root, self._meta, index, ["timestamp", *images])
+        return {name: self._pictures(index, key, table).max(-1) > BRIGHT for name, key in self._masks.items()}
 
     def _pictures(self, index: int, key: str, table: Any) -> np.ndarray:
         """(T, H, W, 3) uint8."""

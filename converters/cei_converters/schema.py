@@ -13,6 +13,8 @@ POINT_CLOUD = "observation.point_cloud"
 ENVIRONMENT_STATE = "observation.environment_state"
 DEPTH_PREFIX = "observation.depth."
 RGB_PREFIX = "observation.images."
+SEGMENTATION_PREFIX = "observation.segmentation."
+"""Pictures, named after depth cameras and as large, that are bright where objects are."""
 
 UNITS = ("rad", "m")
 

@@ -45,6 +45,7 @@ class Source(ABC):
         metadata: contents of `meta/cei.json`, or None.
         fps: frames a second.
         has_clouds: whether point clouds are recorded.
+        segmented: whether pictures say where depth cameras see objects.
         depth_cameras: names of the cameras whose depth is read.
         cameras: LeRobot's features of the others, whose pictures are not looked at.
         ignored_features: names of what is neither read nor a picture.
@@ -57,6 +58,7 @@ class Source(ABC):
     metadata: "Metadata | None" = None
     fps: float
     has_clouds: bool = False
+    segmented: bool = False
     depth_cameras: tuple[str, ...] = ()
     cameras: Mapping[str, dict] = {}
     ignored_features: Sequence[str] = ()
@@ -103,6 +105,14 @@ class Source(ABC):
             CEIError: a picture, a video or statistics are missing.
         """
         return Pictures()
+
+    def masks(self, index: int) -> dict[str, np.ndarray]:
+        """Depth camera's name to (T, H, W) bool, where it sees objects; none without a feature that says so.
+
+        Raises:
+            CEIError: a picture or a video is missing or damaged.
+        """
+        return {}
 
     def select(self, episodes: Sequence[int] | None) -> list[int]:
         """Checked episode indices; None selects all.

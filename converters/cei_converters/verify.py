@@ -186,8 +186,3 @@ def check_kept(summary: dict[str, Any]) -> None:
         raise CEIError(
             f"no episode of {n} succeeds, so all are dropped and nothing is written; leave out --verify.drop."
         )
-
-
-def without(episodes: Sequence[int], entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Entries of other episodes."""
-    return [entry for entry in entries if entry["episode"] not in episodes]

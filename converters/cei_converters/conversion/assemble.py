@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cei_converters.cameras import Pictures
 from cei_converters.conversion.converter import Converter
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.quality_picture import write_summary
@@ -50,7 +51,7 @@ def assemble(
         place.root,
         environment=converter.environment,
         provenance=_with_choices(plan.provenance, converter.transfer, verified, judged),
-        cameras=reader.cameras,
+        cameras=converter.cameras,
         partial=place.dataset,
     ) as writer:
         for shard in range(len(plan.shards)):
@@ -58,7 +59,7 @@ def assemble(
                 if converted.encoded is not None:
                     outcome = converted.outcome
                     frames = outcome["record"].get("source_frames")
-                    pictures = reader.pictures(outcome["entry"]["episode"])
+                    pictures = reader.pictures(outcome["entry"]["episode"]) if converter.cameras else Pictures()
                     pictures = pictures.at(None if frames is None else np.array(frames))
                     writer.append(converted.header, converted.encoded, outcome["record"], pictures)
                     starts[outcome["mode"]].append(outcome["start_qpos"])

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from cei_converters.augment import AugmentOptions
 from cei_converters.cli import DatasetConfig
 from cei_converters.conversion.executors import SlurmOptions, check_executor
 from cei_converters.gate import Gate
@@ -45,6 +46,7 @@ class ConvertConfig:
     contact: ContactOptions = field(default_factory=ContactOptions)
     transfer: TransferOptions = field(default_factory=TransferOptions)
     clouds: CloudOptions = field(default_factory=CloudOptions)
+    augment: AugmentOptions = field(default_factory=AugmentOptions)  # Objects elsewhere, with --augment.grid.
     verify: VerifyOptions = field(default_factory=VerifyOptions)  # Replay and retry, with --verify.
 
     @property
@@ -72,6 +74,10 @@ def check_options(config: ConvertConfig) -> None:
         raise CEIError("--dry_run writes nothing, so there is nothing for --push_to_hub; leave one out.")
     if config.dry_run and config.resume:
         raise CEIError("--dry_run keeps nothing that --resume could go on with; leave one out.")
+    if config.augment.enabled and not config.clouds.swap:
+        raise CEIError(
+            "--clouds.swap=false keeps the source in the clouds, which --augment.grid cannot move; leave one out."
+        )
     if not config.dry_run:
         from cei_converters.hub import check_repo_id
 

@@ -7,20 +7,23 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from cei_converters import calibration
+from cei_converters.augment import Augmentation
 from cei_converters.columns import encode
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.conversion.shard import Converted
 from cei_converters.episodes import encode_episode
-from cei_converters.gate import DROPPED, FLAGGED
+from cei_converters.gate import DROPPED, FLAGGED, LOW_QUALITY
 from cei_converters.metadata import Environment, plain
 from cei_converters.options import parse_episodes, parse_pose
 from cei_converters.quality import check_reached
 from cei_converters.source import Source
 from cei_converters.sources import open_source
-from cei_converters.verify import Verifier, open_stage
+from cei_converters.verify import Verdict, Verifier, open_stage
 from cei_converters.workers import in_order
 from cei_converters.writer import Header
 from cei_gym.alignment import assess
+from cei_gym.augmentation import Offset
+from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.transfer import Transfer
@@ -37,7 +40,8 @@ class Converter:
 
     Attributes:
         reader: of the dataset.
-        selected: episodes to convert.
+        selected: episodes to convert; each as often as augmentation asks for.
+        cameras: LeRobot's features of cameras whose pictures pass through; none where objects are moved, which pictures do not show.
         transfer: what moves them; to be fitted first, by `fit` or `start_from`.
         T_world_target: (4, 4) pose of the target's base.
 
@@ -72,6 +76,10 @@ class Converter:
             config.clouds,
             pose,
         )
+        self._augmentation, self.cameras = None, self.reader.cameras
+        if config.augment.enabled:
+            self._augmentation, self.cameras = Augmentation(config.augment, self.reader, self.transfer), {}
+            self.selected = [index for index in self.selected for _ in range(len(self._augmentation))]
         self.environment = _environment(self.reader, config.target)
         self._opened = contextlib.ExitStack()
         self._verifier = None
@@ -90,14 +98,15 @@ class Converter:
         """Choose where trajectories start, on a few episodes."""
         spread = sorted({round(i) for i in np.linspace(0, len(self.selected) - 1, FIT_EPISODES)})
         with one_thread():
-            self.transfer.fit([self.reader.read(self.selected[i], colours=False) for i in spread])
+            read = [self._read(i, colours=False) for i in spread]
+            self.transfer.fit([demonstration for demonstration, _, inside in read if inside] or [read[0][0]])
 
     def start_from(self, finalists: "Sequence[Basin]") -> None:
         """Take what `fit` found elsewhere."""
         if finalists:
             self.transfer.start_from(finalists)
         else:  # the manual baseline looks at one episode, and quickly
-            self.transfer.fit([self.reader.read(self.selected[0], colours=False)])
+            self.transfer.fit([self._read(0, colours=False)[0]])
 
     def convert(self, positions: Sequence[int], threads: int) -> Iterator[Converted]:
         """Converted episodes, in order.
@@ -112,9 +121,16 @@ class Converter:
         with one_thread():
             yield from in_order(self._convert, positions, 1 if self._verifier is not None else threads)
 
+    def _read(self, position: int, colours: bool) -> tuple[Demonstration, Offset | None, bool]:
+        """One of the selected, its objects' offset if it is augmented, and whether they are then in the workspace."""
+        recorded = self.reader.read(self.selected[position], colours=colours)
+        if self._augmentation is None:
+            return recorded, None, True
+        return self._augmentation(recorded, position % len(self._augmentation))
+
     def _convert(self, position: int) -> Converted:
         config, index = self._config, self.selected[position]
-        recorded = self.reader.read(index, colours=config.clouds.colours)
+        recorded, offset, inside = self._read(position, colours=config.clouds.colours)
         mode = position % config.init.modes  # motions take turns: a dataset is an even mixture
         if self._verifier is None:
             moved, report = self.transfer(recorded, mode, clouds=not config.dry_run)
@@ -124,20 +140,23 @@ class Converter:
         summary = report.summary() | ({"mode": mode} if config.init.modes > 1 else {})
         quality = assess(report)
         fate = config.gate.fate(quality.score)
+        record = {**self.reader.record(index), "source_episode": index}
+        for of_the_source in ("verified", "source_frames", "flagged", "offset"):
+            record.pop(of_the_source, None)
+        if offset is not None:
+            record["offset"] = plain(offset)
+        record["quality"] = {"score": quality.score, "parts": quality.parts}
+        if fate == FLAGGED:
+            record["flagged"] = True
         entry = {
             "episode": index,
+            **record.get("offset", {}),
             "frames": len(moved),
             **recorded.figures,
             **summary,
             "quality": quality.score,
             "weakest": quality.weakest,
         }
-        record = {**self.reader.record(index), "source_episode": index}
-        for of_the_source in ("verified", "source_frames", "flagged"):
-            record.pop(of_the_source, None)
-        record["quality"] = {"score": quality.score, "parts": quality.parts}
-        if fate == FLAGGED:
-            record["flagged"] = True
         if verdict is not None:
             record["verified"] = verdict.record()
         source_frames = None if moved.source_frames is None else moved.source_frames.tolist()
@@ -152,15 +171,26 @@ class Converter:
             "record": {**record, **recorded.figures, "alignment": summary},
             "worst": {"frame": worst, "qpos_source": qpos_source, "qpos_target": moved.qpos[worst]},
             "verdict": verdict,
+            "left_out": self._left_out(inside, offset is not None and bool(report.unreachable_frames), verdict, fate),
             "mode": mode,
             "start_qpos": moved.qpos[0],
         }
         header = Header.of(moved)
-        kept = not config.dry_run and fate != DROPPED and not (verdict is not None and verdict.dropped)
+        kept = not config.dry_run and not outcome["left_out"]
         if kept and not config.allow_unreachable:
             check_reached(config.target, [entry])
         encoded = encode_episode(encode(moved), header.features, moved.task) if kept else None
         return Converted(plain(outcome), header, encoded)
+
+    def _left_out(self, inside: bool, unreachable: bool, verdict: Verdict | None, fate: str) -> str:
+        """Why an episode is left out of the dataset; empty if it is not. Recorded ones that are unreachable end the conversion."""
+        if not inside:
+            return "outside the workspace"
+        if unreachable and not self._config.allow_unreachable:
+            return "out of reach"
+        if verdict is not None and verdict.dropped:
+            return "fails"
+        return LOW_QUALITY if fate == DROPPED else ""
 
 
 def one_thread() -> contextlib.AbstractContextManager:

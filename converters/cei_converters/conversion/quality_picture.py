@@ -57,8 +57,7 @@ def write_summary(path: Path, outcomes: Sequence[dict[str, Any]], gate: Gate, co
 
 
 def _fate(outcome: dict[str, Any], gate: Gate) -> str:
-    verdict = outcome["verdict"]
-    return DROPPED if verdict is not None and verdict["dropped"] else gate.fate(outcome["record"]["quality"]["score"])
+    return DROPPED if outcome["left_out"] else gate.fate(outcome["record"]["quality"]["score"])
 
 
 def _draw_scores(axes: Axes, scores: np.ndarray, fates: Sequence[str], gate: Gate) -> None:

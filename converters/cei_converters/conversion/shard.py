@@ -27,7 +27,7 @@ class Converted:
 
     Attributes:
         outcome: JSON types: `entry` (for the table; its `episode` is the index in the source), `record` (for `meta/cei.json`),
-            `residuals`, `worst` (where its quality is lowest), `verdict` or None, `mode`, `start_qpos`.
+            `residuals`, `worst` (where its quality is lowest), `verdict` or None, `left_out` (why, or empty), `mode`, `start_qpos`.
         header: what it shares with the others.
         encoded: what is stored; None if it is left out.
     """

@@ -85,7 +85,8 @@ class View:
     Attributes:
         sides: the source, if it is shown, then the dataset's own.
         title: dataset, episode and task in one line.
-        residuals: `pad_distance_mm` and `normal_angle_deg`, (T,) each, between source and target; empty without a source.
+        residuals: `pad_distance_mm` and `normal_angle_deg`, (T,) each, between source and target; empty without a source, or where
+            objects were moved.
     """
 
     sides: tuple[Side, ...]
@@ -132,6 +133,8 @@ def load_view(reader: "Source", index: int, source: "Source | None" = None) -> V
     source_index, frames = _origin(reader, index, len(demonstration), source)
     recorded = source.read(source_index).at(frames)
     before = make_side("source", source.embodiment, recorded, frames)
+    if "offset" in reader.record(index):
+        return View((before, target), f"{title}, objects moved", {})  # not where the source's pads were
     return View((before, target), title, _residuals(before, target))
 
 
