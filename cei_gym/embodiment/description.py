@@ -1,7 +1,7 @@
 """Robot descriptions (MJCF or URDF) to `mujoco.MjSpec`, through MuJoCo's own parser, as untrusted input."""
 
 from dataclasses import dataclass, field
-from math import inf
+from math import inf, isfinite
 from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
@@ -12,6 +12,10 @@ from defusedxml.common import DefusedXmlException
 from cei_gym.embodiment.resources import within
 from cei_gym.embodiment.spec import Coupling
 from cei_gym.errors import CEIError, one_line
+
+_MAX_DEPTH = 200
+_MULTIPLIERS = ("replicate", "composite", "flexcomp", "hfield")  # a few bytes that ask for any amount of memory
+_MAY_BE_INFINITE = ("velocity", "effort", "forcerange", "actuatorfrcrange", "frictionloss")  # exporters' "not known"
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ def load_description(path: Path, root: Path) -> Description:
         root: folder that every mesh and include must stay inside.
 
     Raises:
-        CEIError: not XML, XML entities, a mesh outside `root`, or a model that MuJoCo refuses.
+        CEIError: not XML, XML entities, a number that is not finite, a mesh outside `root`, or a model that MuJoCo refuses.
     """
     tree = _parse(path)
     try:
@@ -44,9 +48,9 @@ def load_description(path: Path, root: Path) -> Description:
             return _load_urdf(tree, path, root)
         if tree.tag == "mujoco":
             return _load_mjcf(tree, path, root)
-    except ValueError as error:
-        if isinstance(error, CEIError):
-            raise
+    except CEIError:
+        raise
+    except (ValueError, OSError, RuntimeError) as error:  # the last where MuJoCo's parser runs out of memory
         raise CEIError(f"{path.name}: MuJoCo refuses it: {one_line(error)}") from error
     raise CEIError(f"{path.name}: root element <{tree.tag}> is neither <mujoco> (MJCF) nor <robot> (URDF).")
 
@@ -56,11 +60,35 @@ def _parse(path: Path) -> Element:
         tree = safe_xml.parse(path).getroot()
     except DefusedXmlException:
         raise CEIError(f"{path.name}: XML entities are not allowed in a robot description.") from None
-    except safe_xml.ParseError as error:
-        raise CEIError(f"{path.name}: not well-formed XML: {error}.") from None
+    except (safe_xml.ParseError, LookupError, ValueError) as error:  # the latter two of encodings
+        raise CEIError(f"{path.name}: not well-formed XML: {one_line(error)}.") from None
     if tree is None:
         raise CEIError(f"{path.name}: no XML element in it.")
+    _check_elements(tree, path)
     return tree
+
+
+def _check_elements(tree: Element, path: Path) -> None:
+    """Refuse what MuJoCo's parser would choke on, or read without a word."""
+    level = [tree]
+    for _ in range(_MAX_DEPTH):
+        level = [child for element in level for child in element]
+    if level:
+        raise CEIError(f"{path.name}: elements are nested more than {_MAX_DEPTH} deep.")
+    for element in tree.iter():
+        if element.tag in _MULTIPLIERS:
+            raise CEIError(f"{path.name}: <{element.tag}> is not allowed in a robot description.")
+        for name, text in element.items():
+            if name not in _MAY_BE_INFINITE and not _finite(text):
+                raise CEIError(f"{path.name}: <{element.tag} {name}={one_line(text, 60)!r}> is not finite.")
+
+
+def _finite(text: str) -> bool:
+    """Whether a text holds no number that is not finite; any text but numbers does not."""
+    try:
+        return all(isfinite(float(part)) for part in text.split())
+    except ValueError:
+        return True
 
 
 def _load_mjcf(tree: Element, path: Path, root: Path) -> Description:
@@ -112,6 +140,10 @@ def _load_urdf(tree: Element, path: Path, root: Path) -> Description:
         if (mimic := joint.find("mimic")) is not None:
             scale, offset = _number(mimic, "multiplier", 1.0, path), _number(mimic, "offset", 0.0, path)
             couplings[name] = Coupling(mimic.get("joint", ""), scale, offset)
+        if (limit := joint.find("limit")) is not None and joint.get("type") != "continuous":
+            lower, upper = (_number(limit, bound, 0.0, path) for bound in ("lower", "upper"))
+            if lower > upper:
+                raise CEIError(f"{path.name}: joint {name!r}: its lower limit {lower:g} is above its upper {upper:g}.")
         # Exporters write 0 or infinity for "not known".
         if (limit := joint.find("limit")) is not None and 0 < (speed := _number(limit, "velocity", 0.0, path)) < inf:
             max_velocity[name] = speed

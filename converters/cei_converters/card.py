@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from cei_converters import schema
 from cei_converters.metadata import METADATA_PATH, Metadata, Source
@@ -28,9 +29,10 @@ def source_license(root: Path) -> str | None:
     if not path.is_file():
         return None
     try:
-        return DatasetCard.load(path, ignore_metadata_errors=True).data.get("license")
-    except ValueError:  # a broken card is the source's affair
+        named = DatasetCard.load(path, ignore_metadata_errors=True).data.get("license")
+    except (ValueError, TypeError, AttributeError, RecursionError, yaml.YAMLError):  # a broken card is the source's affair
         return None
+    return named if isinstance(named, str) else None
 
 
 def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:

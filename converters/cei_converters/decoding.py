@@ -2,13 +2,43 @@
 
 import io
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from av.error import FFmpegError
 
 from cei_gym.errors import CEIError, one_line
+
+
+def check_video(path: Path) -> float:
+    """Check that an MP4 file is whole, without decoding it; returns its length in seconds.
+
+    Raises:
+        CEIError: it is no MP4, cut short, or without pictures.
+    """
+    status = path.stat()
+    return _check_video(path, status.st_size, status.st_mtime_ns)
+
+
+@cache
+def _check_video(path: Path, _size: int, _changed_ns: int) -> float:
+    import av
+
+    try:
+        # by its format: FFmpeg would follow a playlist to any file or host
+        with av.open(str(path), format="mp4") as container:
+            video = container.streams.video[0]
+            whole = sum(packet.size > 0 and not packet.is_corrupt for packet in container.demux(video))
+            if whole < max(video.frames, 1):
+                raise CEIError(f"{path} is cut short: {whole} of {video.frames} frames; download or record the dataset again.")
+            return float((video.duration or 0) * (video.time_base or 0))
+    except (FFmpegError, ValueError, IndexError) as error:
+        if isinstance(error, CEIError):
+            raise
+        raise CEIError(f"{path} is no MP4 video ({one_line(error)}); download or record the dataset again.") from error
 
 
 def decode_frames(path: Path, times_s: np.ndarray, fps: float, *, depth: bool = False) -> np.ndarray:
@@ -38,10 +68,25 @@ def decode_pictures(column: Any, feature: Mapping[str, Any], where: str) -> np.n
     from PIL import Image, UnidentifiedImageError
 
     pictures = np.empty((len(column), *feature["shape"]), np.uint8)
-    for frame, cell in enumerate(column):
+    for frame, encoded in enumerate(encoded_images(column, where)):
         try:
-            pictures[frame] = np.asarray(Image.open(io.BytesIO(cell["bytes"].as_py())).convert("RGB"))
-        except (UnidentifiedImageError, TypeError, ValueError, OSError) as error:
+            pictures[frame] = np.asarray(Image.open(io.BytesIO(encoded)).convert("RGB"))
+        except (UnidentifiedImageError, Image.DecompressionBombError, ValueError, OSError, SyntaxError) as error:
             size = "x".join(map(str, feature["shape"][1::-1]))
             raise CEIError(f"{where}: frame {frame} is no {size} picture ({one_line(error)}).") from error
     return pictures
+
+
+def encoded_images(column: Any, where: str) -> list[bytes]:
+    """The bytes of each image of a column, empty where there are none.
+
+    Raises:
+        CEIError: the column does not hold images.
+    """
+    kind = column.type
+    if not pa.types.is_struct(kind) or kind.get_field_index("bytes") < 0:
+        raise CEIError(f"{where} is stored as {one_line(kind, 60)}; it should be images, each with its bytes.")
+    encoded = [(cell or {}).get("bytes") or b"" for cell in column.to_pylist()]
+    if not all(isinstance(each, bytes) for each in encoded):
+        raise CEIError(f"{where} is stored as {one_line(kind, 60)}; it should be images, each with its bytes.")
+    return encoded
