@@ -85,7 +85,9 @@ def _own_files(kind: str) -> Iterator[Path]:
 
 
 def _load[Spec: (ArmSpec, EndEffectorSpec)](cls: type[Spec], kind: str, name: str) -> Spec:
-    files = [path for path in (_SHIPPED / kind / f"{name}.yaml", *_own_files(kind)) if path.stem == name and path.is_file()]
+    files = [
+        path for path in (_SHIPPED / kind / f"{name}.yaml", *_own_files(kind)) if path.stem == name and path.is_file()
+    ]
     if len(files) > 1:
         raise CEIError(f"{name} is described twice, in {files[0]} and {files[1]}; rename one.")
     spec = load_spec(cls, files[0])

@@ -1,7 +1,7 @@
 """Robot descriptions (MJCF or URDF) to `mujoco.MjSpec`, through MuJoCo's own parser, as untrusted input."""
 
 from dataclasses import dataclass, field
-from math import inf, isfinite
+from math import inf
 from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
@@ -11,9 +11,10 @@ from defusedxml.common import DefusedXmlException
 
 from cei_gym.embodiment.resources import within
 from cei_gym.embodiment.spec import Coupling
-from cei_gym.errors import CEIError, one_line
+from cei_gym.errors import CEIError, one_line, unknown
 
 _MAX_DEPTH = 200
+_MAX_NUMBER = 1e10  # MuJoCo's mjMAXVAL
 _MULTIPLIERS = ("replicate", "composite", "flexcomp", "hfield")  # a few bytes that ask for any amount of memory
 _MAY_BE_INFINITE = ("velocity", "effort", "forcerange", "actuatorfrcrange", "frictionloss")  # exporters' "not known"
 
@@ -40,7 +41,7 @@ def load_description(path: Path, root: Path) -> Description:
         root: folder that every mesh and include must stay inside.
 
     Raises:
-        CEIError: not XML, XML entities, a number that is not finite, a mesh outside `root`, or a model that MuJoCo refuses.
+        CEIError: not XML, XML entities, a number that is not finite or huge, a mesh outside `root`, or a model that MuJoCo refuses.
     """
     tree = _parse(path)
     try:
@@ -79,14 +80,14 @@ def _check_elements(tree: Element, path: Path) -> None:
         if element.tag in _MULTIPLIERS:
             raise CEIError(f"{path.name}: <{element.tag}> is not allowed in a robot description.")
         for name, text in element.items():
-            if name not in _MAY_BE_INFINITE and not _finite(text):
-                raise CEIError(f"{path.name}: <{element.tag} {name}={one_line(text, 60)!r}> is not finite.")
+            if name not in _MAY_BE_INFINITE and not _reasonable(text):
+                raise CEIError(f"{path.name}: <{element.tag} {name}={text[:60]!r}> is not within {_MAX_NUMBER:g}.")
 
 
-def _finite(text: str) -> bool:
-    """Whether a text holds no number that is not finite; any text but numbers does not."""
+def _reasonable(text: str) -> bool:
+    """Whether numbers, if the text is numbers, are ones that MuJoCo can work with."""
     try:
-        return all(isfinite(float(part)) for part in text.split())
+        return all(abs(float(part)) <= _MAX_NUMBER for part in text.split())
     except ValueError:
         return True
 
@@ -127,6 +128,9 @@ def _equality_couplings(spec: mujoco.MjSpec) -> dict[str, Coupling]:
         a0, a1, *rest = equality.data[:5]
         if any(rest):
             raise CEIError(f"joint equality {equality.name!r} is not linear; only q = a u + b is supported.")
+        for joint in (equality.name1, equality.name2):
+            if spec.joint(joint) is None:
+                raise unknown("joint in a joint equality", joint, [j.name for j in spec.joints if j.name])
         y0, x0 = spec.joint(equality.name1).ref, spec.joint(equality.name2).ref
         couplings[equality.name1] = Coupling(equality.name2, float(a1), float(y0 + a0 - a1 * x0))
     return couplings

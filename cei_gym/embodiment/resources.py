@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 from pathlib import Path
 
-from cei_gym.errors import CEIError, one_line
+from cei_gym.errors import CEIError
 
 SCHEME = "package://"
 
@@ -58,5 +58,5 @@ def _resolved(path: Path, what: str) -> Path:
         resolved = path.resolve()
         resolved.exists()
     except (OSError, RuntimeError, ValueError) as error:  # too long, a loop of links, a null byte
-        raise CEIError(f"{one_line(what, 60)!r} is no path to a file: {one_line(error, 80)}.") from error
+        raise CEIError(f"{what[:60]!r} is no path to a file: {str(error)[:60]}.") from error
     return resolved

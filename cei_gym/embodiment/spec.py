@@ -184,5 +184,7 @@ def load_spec[Spec](cls: type[Spec], path: Path) -> Spec:
     except FileNotFoundError:
         raise CEIError(f"no such file: {path}.") from None
     except Exception as error:
-        own = error.__cause__ if isinstance(error.__cause__, CEIError) else error  # draccus hides what a class itself says
+        own = (
+            error.__cause__ if isinstance(error.__cause__, CEIError) else error
+        )  # draccus hides what a class itself says
         raise CEIError(f"{path.name}: not a valid {cls.__name__}: {one_line(own)}") from error

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from cei_converters import schema
@@ -57,6 +58,9 @@ def decode_array(column: Any, feature: dict, where: str) -> np.ndarray:
     array = column.combine_chunks()
     array = getattr(array, "storage", array)  # datasets keeps 2-D features in an extension type
     while pa.types.is_list(array.type) or pa.types.is_large_list(array.type) or pa.types.is_fixed_size_list(array.type):
+        lengths = pc.list_value_length(array)  # rows of different lengths may have the right number of values
+        if array.null_count or (len(lengths) and pc.min(lengths) != pc.max(lengths)):
+            raise CEIError(f"{where}: a row is not of shape {tuple(feature['shape'])}.")
         array = array.flatten()
     if not (pa.types.is_floating(array.type) or pa.types.is_integer(array.type)):
         raise CEIError(f"{where} is stored as {one_line(column.type, 60)}; it should be numbers.")
@@ -83,7 +87,7 @@ def read_columns(root: Path, meta: Any, index: int, keys: Sequence[str]) -> pa.T
     try:
         # LeRobot writes a row group an episode, so the filter reads no other episode
         table = pq.read_table(path, columns=columns, filters=[("episode_index", "==", index)])
-    except (OSError, ValueError, KeyError) as error:  # pyarrow's errors are of these kinds
+    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
         raise CEIError(
             f"episode {index}: {path} cannot be read ({one_line(error)}); download or record the dataset again."
         ) from error

@@ -33,7 +33,9 @@ def _check_video(path: Path, _size: int, _changed_ns: int) -> float:
             video = container.streams.video[0]
             whole = sum(packet.size > 0 and not packet.is_corrupt for packet in container.demux(video))
             if whole < max(video.frames, 1):
-                raise CEIError(f"{path} is cut short: {whole} of {video.frames} frames; download or record the dataset again.")
+                raise CEIError(
+                    f"{path} is cut short: {whole} of {video.frames} frames; download or record the dataset again."
+                )
             return float((video.duration or 0) * (video.time_base or 0))
     except (FFmpegError, ValueError, IndexError) as error:
         if isinstance(error, CEIError):

@@ -54,6 +54,8 @@ def image_depth_m(column: Any, feature: Mapping[str, Any], camera: Camera, where
     import cv2  # three times as fast as Pillow, and without the GIL
     from lerobot.configs.video import infer_depth_unit
 
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong is said below
+
     unit = (feature.get("info") or {}).get("depth_unit")
     depth_m = np.empty((len(column), camera.height, camera.width), np.float32)
     for frame, stored in enumerate(encoded_images(column, where)):

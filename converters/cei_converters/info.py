@@ -13,6 +13,7 @@ from cei_converters import schema
 from cei_gym.errors import CEIError, one_line
 
 MAX_FPS = 1000.0
+_SIZES = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb")
 _PATHS = {"data_path": {"chunk_index", "file_index"}, "video_path": {"video_key", "chunk_index", "file_index"}}
 _EPISODE_NUMBERS = ("episode_index", "length", "data/chunk_index", "data/file_index")
 
@@ -32,6 +33,9 @@ def check_info(info: Mapping[str, Any], where: str) -> None:
         raise CEIError(f"{where}: fps is {one_line(fps, 60)}; it should be a number above 0 and at most {MAX_FPS:g}.")
     if type(episodes) is not int or episodes < 0:
         raise CEIError(f"{where}: total_episodes is {one_line(episodes, 60)}; it should be a whole number.")
+    for field in _SIZES:
+        if field in info and not (type(info[field]) in (int, float) and info[field] > 0):
+            raise CEIError(f"{where}: {field} is {one_line(info[field], 60)}; it should be a number above 0.")
     for field, names in _PATHS.items():
         if field in info and not (info[field] is None and field == "video_path"):
             _check_path(info[field], names, f"{where}: {field}")
@@ -93,7 +97,9 @@ def _check_path(path: object, names: set[str], where: str) -> None:
         for _, name, spec, conversion in parts
     )
     if not parts or not plain or "\0" in str(path):
-        raise CEIError(f"{where} is {one_line(path, 60)!r}; it should be a path with {', '.join(sorted(names))} in braces.")
+        raise CEIError(
+            f"{where} is {one_line(path, 60)!r}; it should be a path with {', '.join(sorted(names))} in braces."
+        )
     if Path(str(path)).is_absolute() or ".." in Path(str(path)).parts:
         raise CEIError(f"{where} {one_line(path, 60)!r} leads out of the dataset.")
 

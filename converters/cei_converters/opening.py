@@ -56,6 +56,8 @@ def load_lerobot_metadata(repo_id: str, root: Path) -> Any:
     for path in ("meta/episodes", "meta/tasks.parquet", "data"):
         if not (root / path).exists():
             raise CEIError(f"{root} is no complete v3.0 dataset: {path} is missing.")
+    if not any((root / "meta/episodes").glob("*/*.parquet")):
+        raise CEIError(f"{root} is no complete v3.0 dataset: meta/episodes has no Parquet file.")
     check_info(read_info(root), str(root / INFO_PATH))
     for path in sorted((root / "meta").rglob("*.parquet")):
         try:
