@@ -553,7 +553,7 @@ def _mesh_paths(kind: str, file: str) -> Iterator[Case]:
     yield case("a mesh of another kind", change(where, mesh, "hand.yaml"), "hand.yaml")
     if kind == "urdf":
         yield case("a mesh at file:///", change(where, mesh, "file:///etc/hostname"))
-        package = "package://end_effector/../finger.stl"
+        package = "package://in/../finger.stl"
         yield case("a mesh that climbs out of its package", change(where, mesh, package))
 
 
@@ -932,11 +932,10 @@ def _tables() -> Iterator[Case]:
             Path(path).parts[1],
             "convert",
         )
-        yield (
-            Case("dataset", f"{path}: no rows", table(path, lambda t: t.slice(0, 0)), "episode", "convert")
-            if path != TASKS
-            else Case("dataset", f"{path}: a link to itself", linked(path, Path(path).name), path, "convert")
-        )
+        yield Case("dataset", f"{path}: a link to itself", linked(path, Path(path).name), path, "convert")
+    for path in (DATA, EPISODES):
+        says = "episode 0" if path == DATA else "meta"
+        yield Case("dataset", f"{path}: no rows", table(path, lambda t: t.slice(0, 0)), says, "convert")
     for key in (STATE, ACTION, "episode_index"):
         yield data(f"no {key}", table(DATA, lambda t, key=key: t.drop_columns([key])))
         yield data(
@@ -1117,19 +1116,18 @@ def _replay() -> Iterator[Case]:
     yield case("an id of others", has(CEI, "environment", "id", value="CartPole-v1"), "'CartPole-v1'")
     yield case("a module in the id", has(CEI, "environment", "id", value="antigravity:CEI-x"), "'antigravity:CEI-x'")
     yield case("an unknown argument", has(CEI, "environment", "kwargs", value={"x": 1}), "'x'")
-    for name, value in [
-        ("max_hold_ticks", 0),
-        ("max_hold_ticks", "x"),
-        ("cameras", 5),
-        ("cameras", ["x"]),
-        ("image_width", "x"),
-        ("image_width", -1),
-        ("depth_noise", "../x"),
-        ("depth_noise", {"x": 1}),
-        ("start_qpos", "x"),
-        ("start_qpos", [1.0]),
-        ("start_qpos", [[None]]),
-        ("render_mode", "x"),
-        ("max_episode_steps", "x"),
+    for name, value, says in [
+        ("max_hold_ticks", 0, "max_hold_ticks"),
+        ("max_hold_ticks", "x", "max_hold_ticks"),
+        ("cameras", 5, "cameras"),
+        ("cameras", ["x"], "camera 'x'"),
+        ("image_width", "x", "image_width"),
+        ("image_width", -1, "-1x120"),
+        ("depth_noise", "../x", "depth noise '../x'"),
+        ("depth_noise", {"x": 1}, "depth noise 'x'"),
+        ("start_qpos", "x", "start_qpos"),
+        ("start_qpos", [1.0], "start_qpos"),
+        ("start_qpos", [[None]], "start_qpos"),
+        ("max_episode_steps", "x", "max_episode_steps"),
     ]:
-        yield case(f"{name} is {value!r}", has(CEI, "environment", "kwargs", value={name: value}), name)
+        yield case(f"{name} is {value!r}", has(CEI, "environment", "kwargs", value={name: value}), says)

@@ -127,7 +127,7 @@ def test_malformed_input_is_refused(
     assert code not in (0, None)
     assert output.err.startswith("error: "), output.err
     assert output.err.count("\n") == 1, output.err
-    assert len(output.err) < 2000
+    assert len(output.err) < 4000  # as long as the list of all environments
     assert case.says.lower() in output.err.lower()
     assert contents(tmp_path) == before
 

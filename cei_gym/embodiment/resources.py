@@ -10,6 +10,8 @@ SCHEME = "package://"
 
 def package_root(package: str) -> Path:
     """Folder of an installed Python package, found without importing it."""
+    if not package.isidentifier():  # of a dotted name, find_spec would import the first part
+        raise CEIError(f"a description reads {SCHEME}<python package>/<path>; {package[:60]!r} is no package's name.")
     spec = find_spec(package)
     if spec is None or not spec.submodule_search_locations:
         raise CEIError(

@@ -27,6 +27,7 @@ def check_video(path: Path) -> float:
 def _check_video(path: Path, _size: int, _changed_ns: int) -> float:
     import av
 
+    av.logging.set_level(None)  # FFmpeg has lines of its own for what is said below
     try:
         # by its format: FFmpeg would follow a playlist to any file or host
         with av.open(str(path), format="mp4") as container:
@@ -49,8 +50,10 @@ def decode_frames(path: Path, times_s: np.ndarray, fps: float, *, depth: bool = 
     Raises:
         CEIError: the file cannot be decoded at these times.
     """
+    import av
     from lerobot.datasets.video_utils import decode_video_frames
 
+    av.logging.set_level(None)
     try:
         # half a frame: the nearest one is meant, however its time was rounded
         frames = decode_video_frames(path, times_s.tolist(), 0.5 / fps, "pyav", return_uint8=True, is_depth=depth)
