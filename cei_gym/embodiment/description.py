@@ -16,7 +16,7 @@ from cei_gym.errors import CEIError, one_line, unknown
 _MAX_DEPTH = 200
 _MAX_NUMBER = 1e10  # MuJoCo's mjMAXVAL
 _MULTIPLIERS = ("replicate", "composite", "flexcomp", "hfield")  # a few bytes that ask for any amount of memory
-_MAY_BE_INFINITE = ("velocity", "effort", "forcerange", "actuatorfrcrange", "frictionloss")  # exporters' "not known"
+_MAY_BE_INFINITE = ("velocity", "effort")  # where exporters write infinity for "not known"
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def load_description(path: Path, root: Path) -> Description:
         root: folder that every mesh and include must stay inside.
 
     Raises:
-        CEIError: not XML, XML entities, a number that is not finite or huge, a mesh outside `root`, or a model that MuJoCo refuses.
+        CEIError: not XML, XML entities, numbers not finite, a mesh outside `root`, or a model that MuJoCo refuses.
     """
     tree = _parse(path)
     try:

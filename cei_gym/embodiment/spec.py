@@ -33,9 +33,9 @@ class _Part(_Checked):
         for joint, speed in self.max_velocity.items():
             if speed is None or not 0 < speed < inf:
                 raise CEIError(f"max_velocity of {self.name} gives {joint} {speed}; it must be finite and above 0.")
-        first, last = self.inertia_groups if len(self.inertia_groups) == 2 else (0, -1)
-        if self.inertia_groups and not 0 <= first <= last <= 5:
-            raise CEIError(f"`inertia_groups` of {self.name} should be two of 0 to 5, not {self.inertia_groups}.")
+        groups = self.inertia_groups
+        if groups and (len(groups) != 2 or not 0 <= groups[0] <= groups[1] <= 5):
+            raise CEIError(f"`inertia_groups` of {self.name} should be two of 0 to 5, not {groups}.")
         super().__post_init__()
 
 
@@ -184,7 +184,6 @@ def load_spec[Spec](cls: type[Spec], path: Path) -> Spec:
     except FileNotFoundError:
         raise CEIError(f"no such file: {path}.") from None
     except Exception as error:
-        own = (
-            error.__cause__ if isinstance(error.__cause__, CEIError) else error
-        )  # draccus hides what a class itself says
-        raise CEIError(f"{path.name}: not a valid {cls.__name__}: {one_line(own)}") from error
+        own = error.__cause__  # draccus hides what a class itself says
+        reason = one_line(own if isinstance(own, CEIError) else error)
+        raise CEIError(f"{path.name}: not a valid {cls.__name__}: {reason}") from error

@@ -30,14 +30,8 @@ def source_license(root: Path) -> str | None:
         return None
     try:
         named = DatasetCard.load(path, ignore_metadata_errors=True).data.get("license")
-    except (
-        ValueError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-        yaml.YAMLError,
-    ):  # a broken card is the source's affair
-        return None
+    except (ValueError, TypeError, AttributeError, RecursionError, yaml.YAMLError):
+        return None  # a broken card is the source's affair
     return named if isinstance(named, str) else None
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from cei_converters import schema
@@ -57,9 +56,9 @@ def decode_array(column: Any, feature: dict, where: str) -> np.ndarray:
     """
     array = column.combine_chunks()
     array = getattr(array, "storage", array)  # datasets keeps 2-D features in an extension type
-    while pa.types.is_list(array.type) or pa.types.is_large_list(array.type) or pa.types.is_fixed_size_list(array.type):
-        lengths = pc.list_value_length(array)  # rows of different lengths may have the right number of values
-        if array.null_count or (len(lengths) and pc.min(lengths) != pc.max(lengths)):
+    while isinstance(array, (pa.ListArray, pa.LargeListArray, pa.FixedSizeListArray)):
+        lengths = [] if isinstance(array, pa.FixedSizeListArray) else array.value_lengths().unique()
+        if array.null_count or len(lengths) > 1:  # rows of different lengths may have the right number of values in all
             raise CEIError(f"{where}: a row is not of shape {tuple(feature['shape'])}.")
         array = array.flatten()
     if not (pa.types.is_floating(array.type) or pa.types.is_integer(array.type)):

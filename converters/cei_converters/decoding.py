@@ -1,11 +1,15 @@
 """Pictures of a dataset: frames of its video files, by LeRobot's own decoding, and encoded images."""
 
 import io
+import math
 from collections.abc import Mapping
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import av
+import av.logging
 import numpy as np
 import pyarrow as pa
 from av.error import FFmpegError
@@ -14,7 +18,7 @@ from cei_gym.errors import CEIError, one_line
 
 
 def check_video(path: Path) -> float:
-    """Check that an MP4 file is whole, without decoding it; returns its length in seconds.
+    """Check that an MP4 file is whole, without decoding it; returns its length in seconds, infinity if it does not say.
 
     Raises:
         CEIError: it is no MP4, cut short, or without pictures.
@@ -25,23 +29,18 @@ def check_video(path: Path) -> float:
 
 @cache
 def _check_video(path: Path, _size: int, _changed_ns: int) -> float:
-    import av
-
     av.logging.set_level(None)  # FFmpeg has lines of its own for what is said below
     try:
         # by its format: FFmpeg would follow a playlist to any file or host
-        with av.open(str(path), format="mp4") as container:
+        with closing(av.open(str(path), format="mp4")) as container:
             video = container.streams.video[0]
             whole = sum(packet.size > 0 and not packet.is_corrupt for packet in container.demux(video))
-            if whole < max(video.frames, 1):
-                raise CEIError(
-                    f"{path} is cut short: {whole} of {video.frames} frames; download or record the dataset again."
-                )
-            return float((video.duration or 0) * (video.time_base or 0))
+            frames, duration, time_base = video.frames, video.duration, video.time_base
     except (FFmpegError, ValueError, IndexError) as error:
-        if isinstance(error, CEIError):
-            raise
         raise CEIError(f"{path} is no MP4 video ({one_line(error)}); download or record the dataset again.") from error
+    if whole < max(frames, 1):
+        raise CEIError(f"{path} is cut short: {whole} of {frames} frames; download or record the dataset again.")
+    return float(duration * time_base) if duration and time_base else math.inf
 
 
 def decode_frames(path: Path, times_s: np.ndarray, fps: float, *, depth: bool = False) -> np.ndarray:
@@ -50,7 +49,6 @@ def decode_frames(path: Path, times_s: np.ndarray, fps: float, *, depth: bool = 
     Raises:
         CEIError: the file cannot be decoded at these times.
     """
-    import av
     from lerobot.datasets.video_utils import decode_video_frames
 
     av.logging.set_level(None)

@@ -29,7 +29,7 @@ def check_info(info: Mapping[str, Any], where: str) -> None:
         CEIError: naming the field.
     """
     fps, episodes = info.get("fps"), info.get("total_episodes")
-    if type(fps) not in (int, float) or not 0 < fps <= MAX_FPS:
+    if not isinstance(fps, (int, float)) or isinstance(fps, bool) or not 0 < fps <= MAX_FPS:
         raise CEIError(f"{where}: fps is {one_line(fps, 60)}; it should be a number above 0 and at most {MAX_FPS:g}.")
     if type(episodes) is not int or episodes < 0:
         raise CEIError(f"{where}: total_episodes is {one_line(episodes, 60)}; it should be a whole number.")
@@ -53,7 +53,8 @@ def check_info(info: Mapping[str, Any], where: str) -> None:
         columns = feature["shape"][-1:]
         if key == schema.POINT_CLOUD and (len(feature["shape"]) != 2 or columns[0] not in (3, 6)):
             raise CEIError(f"{where}: {key} has shape {feature['shape']}; it should be [points, 3], or 6 with colours.")
-        if key == schema.ENVIRONMENT_STATE and [len(schema.feature_names(feature))] != feature["shape"]:
+        names = schema.feature_names(feature)
+        if key == schema.ENVIRONMENT_STATE and names and [len(names)] != feature["shape"]:
             raise CEIError(f"{where}: {key} has shape {feature['shape']}; it should be as long as its names.")
 
 
@@ -82,7 +83,7 @@ def check_episodes(episodes: Any, total: int, root: Path) -> None:
     if not np.array_equal(table.column("episode_index").to_numpy(), np.arange(total)):
         raise CEIError(f"{where}: episode_index should count from 0 to {total - 1}.")
     tasks = table.column("tasks")
-    if not (pa.types.is_list(tasks.type) and pa.types.is_string(tasks.type.value_type)) or tasks.null_count:
+    if tasks.type not in (pa.list_(pa.string()), pa.large_list(pa.large_string())) or tasks.null_count:
         raise CEIError(f"{where}: tasks should be a list of texts for each episode.")
 
 
