@@ -1,12 +1,15 @@
-"""YAML and JSON from strangers: no aliases, which can stand for any amount of memory, no key twice, no bottomless nesting."""
+"""YAML and JSON from strangers: no aliases that stand for a billion values, no key twice, no bottomless nesting."""
 
 import json
+import math
 from collections.abc import Callable
 from typing import Any
 
 import yaml
 
 from cei_gym.errors import CEIError, one_line
+
+MAX_VALUES = 100_000
 
 
 def load_yaml(text: str) -> Any:
@@ -15,7 +18,7 @@ def load_yaml(text: str) -> Any:
     Raises:
         CEIError: it is no YAML, or has what is not allowed; without the file's name, which the caller knows.
     """
-    return _load(lambda text: yaml.load(text, _Loader), text)
+    return _load(_parse_yaml, text)
 
 
 def load_json(text: str) -> Any:
@@ -36,12 +39,28 @@ def _load(parse: Callable[[str], Any], text: str) -> Any:
         raise CEIError(one_line(error)) from error
 
 
-class _Loader(yaml.SafeLoader):
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise CEIError("YAML aliases (*name) are not allowed")
-        return super().compose_node(parent, index)
+def _parse_yaml(text: str) -> Any:
+    loader = _Loader(text)
+    node = loader.get_single_node()
+    if node is None:
+        return None
+    if _size(node, {}) > MAX_VALUES:
+        raise CEIError(f"it stands for more than {MAX_VALUES} values; has it aliases (*name) of aliases?")
+    return loader.construct_document(node)
 
+
+def _size(node: yaml.Node, known: dict[yaml.Node, float]) -> float:
+    """How many values a node stands for, aliases written out; infinitely many if it is part of itself."""
+    if node not in known:
+        known[node] = math.inf
+        parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+        if isinstance(node, yaml.MappingNode):
+            parts = [part for pair in node.value for part in pair]
+        known[node] = 1 + sum(_size(part, known) for part in parts)
+    return known[node]
+
+
+class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         _refuse_repeated([key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)])
         return super().construct_mapping(node, deep)

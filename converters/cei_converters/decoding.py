@@ -37,7 +37,9 @@ def _check_video(path: Path, _size: int, _changed_ns: int) -> float:
             whole = sum(packet.size > 0 and not packet.is_corrupt for packet in container.demux(video))
             frames, duration, time_base = video.frames, video.duration, video.time_base
     except (FFmpegError, ValueError, IndexError) as error:
-        raise CEIError(f"{path} is no MP4 video ({one_line(error)}); download or record the dataset again.") from error
+        raise CEIError(
+            f"{path} cannot be decoded as MP4 ({one_line(error)}); download or record the dataset again."
+        ) from error
     if whole < max(frames, 1):
         raise CEIError(f"{path} is cut short: {whole} of {frames} frames; download or record the dataset again.")
     return float(duration * time_base) if duration and time_base else math.inf
