@@ -87,6 +87,11 @@ class Demonstration:
             raise CEIError(f"{where} has no frames; drop it with --episodes or record it again.")
         if self.qpos.shape != self.action.shape:
             raise CEIError(f"{where}: state {self.qpos.shape} and action {self.action.shape} differ in shape.")
+        state = self.environment_state
+        if state is not None and not np.isfinite(state).all():
+            raise CEIError(
+                f"{where}: observation.environment_state is not finite at frame {np.argwhere(~np.isfinite(state))[0][0]}."
+            )
         for name, values in (("state", self.qpos), ("action", self.action)):
             bad = np.argwhere(~np.isfinite(values))
             if len(bad):

@@ -517,7 +517,9 @@ def test_failure_in_the_middle_leaves_nothing(
     rgb_source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     root = edited(rgb_source, tmp_path / "pick", lambda _: None)
-    (root / f"videos/{VIDEO}/chunk-000/file-000.mp4").write_bytes(b"no video")
+    video = root / f"videos/{VIDEO}/chunk-000/file-000.mp4"
+    head, _, pictures = video.read_bytes().partition(b"mdat")
+    video.write_bytes(head + b"mdat" + bytes(len(pictures)))
     before = sorted(tmp_path.rglob("*"))
     # copied for episode 0, undecodable for episode 1, whose frames repeat
     assert run(root, tmp_path / "sub/out", "--episodes=0,1") == 1

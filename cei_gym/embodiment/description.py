@@ -11,7 +11,12 @@ from defusedxml.common import DefusedXmlException
 
 from cei_gym.embodiment.resources import within
 from cei_gym.embodiment.spec import Coupling
-from cei_gym.errors import CEIError, one_line
+from cei_gym.errors import CEIError, one_line, unknown
+
+_MAX_DEPTH = 200
+_MAX_NUMBER = 1e10  # MuJoCo's mjMAXVAL
+_MULTIPLIERS = ("replicate", "composite", "flexcomp", "hfield")  # a few bytes that ask for any amount of memory
+_MAY_BE_INFINITE = ("velocity", "effort")  # where exporters write infinity for "not known"
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ def load_description(path: Path, root: Path) -> Description:
         root: folder that every mesh and include must stay inside.
 
     Raises:
-        CEIError: not XML, XML entities, a mesh outside `root`, or a model that MuJoCo refuses.
+        CEIError: not XML, XML entities, numbers not finite, a mesh outside `root`, or a model that MuJoCo refuses.
     """
     tree = _parse(path)
     try:
@@ -44,9 +49,9 @@ def load_description(path: Path, root: Path) -> Description:
             return _load_urdf(tree, path, root)
         if tree.tag == "mujoco":
             return _load_mjcf(tree, path, root)
-    except ValueError as error:
-        if isinstance(error, CEIError):
-            raise
+    except CEIError:
+        raise
+    except (ValueError, OSError, RuntimeError) as error:  # the last where MuJoCo's parser runs out of memory
         raise CEIError(f"{path.name}: MuJoCo refuses it: {one_line(error)}") from error
     raise CEIError(f"{path.name}: root element <{tree.tag}> is neither <mujoco> (MJCF) nor <robot> (URDF).")
 
@@ -56,11 +61,35 @@ def _parse(path: Path) -> Element:
         tree = safe_xml.parse(path).getroot()
     except DefusedXmlException:
         raise CEIError(f"{path.name}: XML entities are not allowed in a robot description.") from None
-    except safe_xml.ParseError as error:
-        raise CEIError(f"{path.name}: not well-formed XML: {error}.") from None
+    except (safe_xml.ParseError, LookupError, ValueError) as error:  # the latter two of encodings
+        raise CEIError(f"{path.name}: not well-formed XML: {one_line(error)}.") from None
     if tree is None:
         raise CEIError(f"{path.name}: no XML element in it.")
+    _check_elements(tree, path)
     return tree
+
+
+def _check_elements(tree: Element, path: Path) -> None:
+    """Refuse what MuJoCo's parser would choke on, or read without a word."""
+    level = [tree]
+    for _ in range(_MAX_DEPTH):
+        level = [child for element in level for child in element]
+    if level:
+        raise CEIError(f"{path.name}: elements are nested more than {_MAX_DEPTH} deep.")
+    for element in tree.iter():
+        if element.tag in _MULTIPLIERS:
+            raise CEIError(f"{path.name}: <{element.tag}> is not allowed in a robot description.")
+        for name, text in element.items():
+            if name not in _MAY_BE_INFINITE and not _reasonable(text):
+                raise CEIError(f"{path.name}: <{element.tag} {name}={text[:60]!r}> is not within {_MAX_NUMBER:g}.")
+
+
+def _reasonable(text: str) -> bool:
+    """Whether numbers, if the text is numbers, are ones that MuJoCo can work with."""
+    try:
+        return all(abs(float(part)) <= _MAX_NUMBER for part in text.split())
+    except ValueError:
+        return True
 
 
 def _load_mjcf(tree: Element, path: Path, root: Path) -> Description:
@@ -99,6 +128,9 @@ def _equality_couplings(spec: mujoco.MjSpec) -> dict[str, Coupling]:
         a0, a1, *rest = equality.data[:5]
         if any(rest):
             raise CEIError(f"joint equality {equality.name!r} is not linear; only q = a u + b is supported.")
+        for joint in (equality.name1, equality.name2):
+            if spec.joint(joint) is None:
+                raise unknown("joint in a joint equality", joint, [j.name for j in spec.joints if j.name])
         y0, x0 = spec.joint(equality.name1).ref, spec.joint(equality.name2).ref
         couplings[equality.name1] = Coupling(equality.name2, float(a1), float(y0 + a0 - a1 * x0))
     return couplings
@@ -112,6 +144,10 @@ def _load_urdf(tree: Element, path: Path, root: Path) -> Description:
         if (mimic := joint.find("mimic")) is not None:
             scale, offset = _number(mimic, "multiplier", 1.0, path), _number(mimic, "offset", 0.0, path)
             couplings[name] = Coupling(mimic.get("joint", ""), scale, offset)
+        if (limit := joint.find("limit")) is not None and joint.get("type") != "continuous":
+            lower, upper = (_number(limit, bound, 0.0, path) for bound in ("lower", "upper"))
+            if lower > upper:
+                raise CEIError(f"{path.name}: joint {name!r}: its lower limit {lower:g} is above its upper {upper:g}.")
         # Exporters write 0 or infinity for "not known".
         if (limit := joint.find("limit")) is not None and 0 < (speed := _number(limit, "velocity", 0.0, path)) < inf:
             max_velocity[name] = speed

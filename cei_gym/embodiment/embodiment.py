@@ -211,9 +211,14 @@ def _attach(flange: mujoco.MjsBody, spec: EndEffectorSpec, description: Descript
         root.quat = spec.mount_quat_wxyz
     for exception in spec.physics:
         if exception.enabled and exception.kind == "geom_mass":
+            geoms, mass_kg = (exception.parameters.get(name) for name in ("geoms", "mass_kg"))
+            if not isinstance(geoms, str) or not isinstance(mass_kg, (int, float)) or mass_kg <= 0:
+                raise CEIError(
+                    f"geom_mass of {spec.name} needs `geoms` (a pattern) and `mass_kg` (above 0), not {exception.parameters}."
+                )
             for geom in hand.geoms:
-                if fnmatch(geom.name, exception.parameters["geoms"]):
-                    geom.mass = exception.parameters["mass_kg"]
+                if fnmatch(geom.name, geoms):
+                    geom.mass = mass_kg
     if spec.inertia_groups:
         hand.compiler.inertiagrouprange = spec.inertia_groups
     flange.add_frame().attach_body(root, END_EFFECTOR_PREFIX, "")
@@ -243,6 +248,8 @@ def _from_model(
     if np.any(np.diff(is_hand.astype(int)) < 0):
         raise CEIError(f"{name}: joints of arm and end-effector interleave; give the arm one chain to its mount_body.")
     limited = model.jnt_limited.astype(bool)
+    for q in np.flatnonzero(~limited & (model.jnt_type == slide)):
+        raise CEIError(f"{name}: joint {public[q]!r} slides without limits; its description should give it a range.")
     lower = np.where(limited, model.jnt_range[:, 0], -CONTINUOUS_LIMIT_RAD)
     upper = np.where(limited, model.jnt_range[:, 1], CONTINUOUS_LIMIT_RAD)
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
@@ -302,8 +309,6 @@ def _max_velocity(
         for joint, speed in part.max_velocity.items():
             if prefix + joint not in joints:
                 raise unknown(f"joint in max_velocity of {part.name}", joint, map(_public, joints))
-            if not 0 < speed < np.inf:
-                raise CEIError(f"max_velocity of {part.name} gives {joint} {speed:g}; it must be finite and above 0.")
             speeds[prefix + joint] = speed
     default = np.where(hinge, DEFAULT_MAX_VELOCITY_RAD_S, DEFAULT_MAX_VELOCITY_M_S)
     return np.array([speeds.get(n, d) for n, d in zip(names, default, strict=True)])

@@ -10,6 +10,8 @@ SCHEME = "package://"
 
 def package_root(package: str) -> Path:
     """Folder of an installed Python package, found without importing it."""
+    if not package.isidentifier():  # of a dotted name, find_spec would import the first part
+        raise CEIError(f"a description reads {SCHEME}<python package>/<path>; {package[:60]!r} is no package's name.")
     spec = find_spec(package)
     if spec is None or not spec.submodule_search_locations:
         raise CEIError(
@@ -36,7 +38,7 @@ def resolve(uri: str, relative_to: Path) -> tuple[Path, Path]:
         root = package_root(package)
         path = within(root, root / inside, uri)
     else:
-        path = (relative_to / uri).resolve()
+        path = _resolved(relative_to / uri, uri)
         root = path.parent
     if not path.is_file():
         raise CEIError(f"no robot description at {uri!r} (looked for {path.name} in {path.parent}).")
@@ -44,8 +46,19 @@ def resolve(uri: str, relative_to: Path) -> tuple[Path, Path]:
 
 
 def within(root: Path, path: Path, what: str) -> Path:
-    """`path` resolved, refused if it leaves `root` (a description is untrusted input)."""
-    resolved = path.resolve()
+    """`path` resolved, refused if it leaves `root` or is there but no file (a description is untrusted input)."""
+    resolved = _resolved(path, what)
     if not resolved.is_relative_to(root.resolve()):
         raise CEIError(f"{what!r} points outside its folder {root.name!r}; only files inside it are read.")
+    if resolved.exists() and not resolved.is_file():
+        raise CEIError(f"{what!r} is no file.")
+    return resolved
+
+
+def _resolved(path: Path, what: str) -> Path:
+    try:
+        resolved = path.resolve()
+        resolved.exists()
+    except (OSError, RuntimeError, ValueError) as error:  # too long, a loop of links, a null byte
+        raise CEIError(f"{what[:60]!r} is no path to a file: {str(error)[:60]}.") from error
     return resolved

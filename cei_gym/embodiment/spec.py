@@ -1,18 +1,54 @@
 """The small typed YAML of an arm and of an end-effector."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
 import draccus
-import yaml
 
 from cei_gym.errors import CEIError, one_line
+from cei_gym.untrusted import load_yaml
+
+
+class _Checked:
+    """Refuses a field without a value, YAML's null, and numbers that are not finite."""
+
+    def __post_init__(self) -> None:
+        for each in fields(self):  # pyright: ignore[reportArgumentType]  (all that derive from it are dataclasses)
+            for value in _leaves(getattr(self, each.name)):
+                if value is None or (isinstance(value, float) and not isfinite(value)):
+                    raise CEIError(f"`{each.name}` has {value} where a value should be.")
+
+
+class _Part(_Checked):
+    """What an arm and an end-effector have in common."""
+
+    name: str
+    max_velocity: dict[str, float]
+    inertia_groups: list[int]
+
+    def __post_init__(self) -> None:
+        for joint, speed in self.max_velocity.items():
+            if speed is None or not 0 < speed < inf:
+                raise CEIError(f"max_velocity of {self.name} gives {joint} {speed}; it must be finite and above 0.")
+        groups = self.inertia_groups
+        if groups and (len(groups) != 2 or not 0 <= groups[0] <= groups[1] <= 5):
+            raise CEIError(f"`inertia_groups` of {self.name} should be two of 0 to 5, not {groups}.")
+        super().__post_init__()
+
+
+def _leaves(value: object) -> Iterator[object]:
+    if isinstance(value, (list, tuple, Mapping)):
+        for item in value.values() if isinstance(value, Mapping) else value:
+            yield from _leaves(item)
+    else:
+        yield value
 
 
 @dataclass(frozen=True)
-class Coupling:
+class Coupling(_Checked):
     """One joint that follows another: `q_follower = scale * q_leader + offset`.
 
     Attributes:
@@ -29,7 +65,7 @@ class Coupling:
 
 
 @dataclass(frozen=True)
-class Pad:
+class Pad(_Checked):
     """One finger pad: the palmar side of some geoms of a link.
 
     Attributes:
@@ -45,12 +81,12 @@ class Pad:
     geoms: list[str] = field(default_factory=list)
     share: float = 1.0
     extent: list[float] = field(default_factory=lambda: [0.0, 1.0])
-    palmar: str | list[float] = "auto"
+    palmar: list[float] | str = "auto"  # in this order: anything can be read as a str
     palmar_cosine: float = 0.8
 
 
 @dataclass(frozen=True)
-class PhysicsException:
+class PhysicsException(_Checked):
     """A departure from the physics that the simulator ships, with its reason.
 
     Attributes:
@@ -70,7 +106,7 @@ class PhysicsException:
 
 
 @dataclass(frozen=True)
-class ArmSpec:
+class ArmSpec(_Part):
     """An arm: description, flange and home pose (rad).
 
     Attributes:
@@ -96,7 +132,7 @@ class ArmSpec:
 
 
 @dataclass(frozen=True)
-class EndEffectorSpec:
+class EndEffectorSpec(_Part):
     """An end-effector: description, mount, couplings, poses and pads.
 
     Attributes:
@@ -128,15 +164,26 @@ class EndEffectorSpec:
     simulator_name: str = ""
     physics: list[PhysicsException] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.mount_pos_m) not in (0, 3):
+            raise CEIError(f"`mount_pos_m` of {self.name} should be 3 numbers, not {self.mount_pos_m}.")
+        if self.mount_quat_wxyz and (len(self.mount_quat_wxyz) != 4 or not any(self.mount_quat_wxyz)):
+            raise CEIError(f"`mount_quat_wxyz` of {self.name} should be 4 numbers, not {self.mount_quat_wxyz}.")
+        if not self.compliance > 0:
+            raise CEIError(f"`compliance` of {self.name} should be above 0, not {self.compliance}.")
+
 
 def load_spec[Spec](cls: type[Spec], path: Path) -> Spec:
     """Read one YAML file into a typed specification; any fault is one line with the file's name."""
     try:
-        raw = yaml.safe_load(path.read_text())
+        raw = load_yaml(path.read_text())
         if not isinstance(raw, Mapping):
             raise CEIError("expected a mapping of fields")
         return draccus.decode(cls, raw)
     except FileNotFoundError:
         raise CEIError(f"no such file: {path}.") from None
     except Exception as error:
-        raise CEIError(f"{path.name}: not a valid {cls.__name__}: {one_line(error)}") from error
+        own = error.__cause__  # draccus hides what a class itself says
+        reason = one_line(own if isinstance(own, CEIError) else error)
+        raise CEIError(f"{path.name}: not a valid {cls.__name__}: {reason}") from error

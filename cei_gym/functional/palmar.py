@@ -22,8 +22,8 @@ def palmar_directions(embodiment: Embodiment, tree: KinematicTree, pad: Pad, poi
         (N, 3) unit directions in the link's frame; the pad's own `palmar` direction where its YAML gives one.
     """
     if pad.palmar != "auto":
-        direction = np.asarray(pad.palmar, float)
-        if direction.shape != (3,) or not np.linalg.norm(direction) > 0:
+        direction = np.zeros(0) if isinstance(pad.palmar, str) else np.asarray(pad.palmar, float)
+        if direction.shape != (3,) or not 0 < np.linalg.norm(direction) < np.inf:
             raise CEIError(f"pad {pad.body!r} of {embodiment.name}: `palmar` is 'auto' or a direction of 3 numbers.")
         return np.broadcast_to(direction / np.linalg.norm(direction), points_link.shape)
     body = embodiment.body_id(pad.body)
@@ -48,9 +48,9 @@ def extent_mask(mesh: trimesh.Trimesh, extent: list[float], points_link: np.ndar
         extent: start and end as fractions of the length.
         points_link: (N, 3) m.
     """
-    start, end = extent
-    if not 0 <= start < end <= 1:
+    if len(extent) != 2 or not 0 <= extent[0] < extent[1] <= 1:
         raise CEIError(f"a pad's `extent` must be 0 <= start < end <= 1, not {extent}.")
+    start, end = extent
     if (start, end) == (0, 1):
         return np.ones(len(points_link), bool)
     _, _, axes = np.linalg.svd(mesh.vertices - mesh.vertices.mean(0), full_matrices=False)

@@ -70,6 +70,8 @@ def sample_representation(
     if spec is None or not spec.pads:
         raise CEIError(f"{embodiment.name} has no finger pads; list them under `pads` in its end-effector's YAML.")
     shares = np.array([pad.share for pad in spec.pads], float)
+    if not ((shares > 0) & (shares < np.inf)).all():
+        raise CEIError(f"each pad's `share` in {embodiment.name} must be finite and above 0, not {shares.tolist()}.")
     ends = np.round(np.cumsum(shares) / shares.sum() * points).astype(int)
     counts = np.diff(ends, prepend=0)
     tree = KinematicTree(embodiment)

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from cei_converters.metadata import check_scene
 from cei_gym.demonstration import Camera, Scene
 from cei_gym.errors import CEIError, one_line, unknown
+from cei_gym.untrusted import load_yaml
 
 FORMAT = """a calibration (world z up, metres; T_world_camera maps camera to world, axes x right, y down, z forward):
   cameras:
@@ -54,8 +54,8 @@ def load_calibration(path: str | Path) -> Calibration:
     """
     path = Path(path)
     try:
-        raw = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raw = load_yaml(path.read_text())
+    except (OSError, ValueError) as error:
         raise CEIError(f"calibration {path} cannot be read: {one_line(error)}.") from error
     where = path.name
     fields = _mapping(raw, where, _FIELDS, required=("cameras",))

@@ -10,7 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cei_converters.columns import read_columns
-from cei_gym.errors import CEIError
+from cei_converters.decoding import check_video, encoded_images
+from cei_gym.errors import CEIError, one_line
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def read_pictures(root: Path, meta: Any, index: int, keys: Sequence[str]) -> Pic
     table = read_columns(root, meta, index, images)
     cells = {key: table[key].combine_chunks() for key in images}
     for key in images:
-        if cells[key].field("bytes").null_count:
+        if not all(encoded_images(cells[key], f"episode {index}, {key}")):
             raise CEIError(f"episode {index}, {key}: a picture is missing; download or record the dataset again.")
     clips = {key: find_clip(root, meta, index, key) for key in keys if key in meta.video_keys}
     return Pictures(cells, clips, _statistics(root, meta, index, keys))
@@ -82,7 +83,7 @@ def find_clip(root: Path, meta: Any, index: int, key: str) -> Clip:
     """The part of a video that is an episode's.
 
     Raises:
-        CEIError: the file is missing or not the dataset's, or nothing says which it is.
+        CEIError: the file is missing, damaged or not the dataset's, or nothing says which it is.
     """
     try:
         path = meta.get_video_file_path(index, key)
@@ -91,8 +92,17 @@ def find_clip(root: Path, meta: Any, index: int, key: str) -> Clip:
         raise CEIError(f"episode {index}: {root.name}/meta does not say where the video of {key} is.") from error
     if path.is_absolute() or ".." in path.parts:
         raise CEIError(f"{root.name}: video_path {meta.video_path!r} leads out of the dataset.")
-    if not (root / path).is_file():
+    try:
+        there = (root / path).is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        there = False
+    if not there:
         raise CEIError(f"episode {index}: {root / path} is missing; download the dataset with its videos.")
+    length_s = check_video(root / path)
+    if not 0 <= start_s < end_s <= length_s + 1 / meta.fps:
+        raise CEIError(
+            f"episode {index}: {key} should be from {start_s:g} to {end_s:g} s of {root / path}, which is {length_s:g} s long."
+        )
     return Clip(root / path, start_s, end_s)
 
 
@@ -100,9 +110,12 @@ def _statistics(root: Path, meta: Any, index: int, keys: Sequence[str]) -> dict[
     """LeRobot's statistics of features in an episode, or in the dataset where episodes have none."""
     from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
 
-    chunk, file = (meta.episodes[index][f"meta/episodes/{name}_index"] for name in ("chunk", "file"))
-    path = root / DEFAULT_EPISODES_PATH.format(chunk_index=chunk, file_index=file)
-    (stored,) = pq.read_table(path, filters=[("episode_index", "==", index)]).to_pylist()
+    try:
+        chunk, file = (meta.episodes[index][f"meta/episodes/{name}_index"] for name in ("chunk", "file"))
+        path = root / DEFAULT_EPISODES_PATH.format(chunk_index=chunk, file_index=file)
+        (stored,) = pq.read_table(path, filters=[("episode_index", "==", index)]).to_pylist()
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise CEIError(f"episode {index}: {root}/meta/episodes has no statistics of it ({one_line(error)}).") from error
     found = {}
     for key in keys:
         prefix = f"stats/{key}/"

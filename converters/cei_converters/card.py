@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from cei_converters import schema
 from cei_converters.metadata import METADATA_PATH, PICTURE_PATH, Metadata, Source
@@ -37,8 +38,8 @@ def source_license(root: Path) -> dict[str, Any]:
         return {}
     try:
         data = DatasetCard.load(path, ignore_metadata_errors=True).data.to_dict()
-    except ValueError:  # a broken card is the source's affair
-        return {}
+    except (ValueError, TypeError, AttributeError, RecursionError, yaml.YAMLError):
+        return {}  # a broken card is the source's affair
     return {name: data[name] for name in LICENSE if name in data}
 
 

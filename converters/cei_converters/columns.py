@@ -52,12 +52,17 @@ def decode_array(column: Any, feature: dict, where: str) -> np.ndarray:
     """A list column as an array (T, *shape).
 
     Raises:
-        CEIError: the column's rows are not of the feature's shape.
+        CEIError: the column's rows are no numbers, or not of the feature's shape.
     """
     array = column.combine_chunks()
     array = getattr(array, "storage", array)  # datasets keeps 2-D features in an extension type
-    while hasattr(array, "flatten") and array.type.num_fields == 1:
+    while isinstance(array, (pa.ListArray, pa.LargeListArray, pa.FixedSizeListArray)):
+        lengths = [] if isinstance(array, pa.FixedSizeListArray) else array.value_lengths().unique()
+        if array.null_count or len(lengths) > 1:  # rows of different lengths may have the right number of values in all
+            raise CEIError(f"{where}: a row is not of shape {tuple(feature['shape'])}.")
         array = array.flatten()
+    if not (pa.types.is_floating(array.type) or pa.types.is_integer(array.type)):
+        raise CEIError(f"{where} is stored as {one_line(column.type, 60)}; it should be numbers.")
     try:
         return array.to_numpy(zero_copy_only=False).reshape(len(column), *feature["shape"])
     except ValueError as error:
@@ -74,14 +79,24 @@ def read_columns(root: Path, meta: Any, index: int, keys: Sequence[str]) -> pa.T
         keys: features; those that the dataset lacks or has as video are left out.
 
     Raises:
-        CEIError: the file cannot be read.
+        CEIError: the file cannot be read, or has fewer or more of the episode's frames than there should be.
     """
     path = root / meta.get_data_file_path(index)
     columns = [key for key in keys if key in meta.features and key not in meta.video_keys]
     try:
         # LeRobot writes a row group an episode, so the filter reads no other episode
-        return pq.read_table(path, columns=columns, filters=[("episode_index", "==", index)])
-    except (OSError, ValueError, KeyError) as error:  # pyarrow's errors are of these kinds
+        table = pq.read_table(path, columns=columns, filters=[("episode_index", "==", index)])
+    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
         raise CEIError(
             f"episode {index}: {path} cannot be read ({one_line(error)}); download or record the dataset again."
         ) from error
+    missing = [key for key in columns if key not in table.column_names]
+    if missing:
+        raise CEIError(f"episode {index}: {path} has no column {missing[0]!r}; download or record the dataset again.")
+    length = meta.episodes[index]["length"]
+    if table.num_rows not in (0, length):
+        raise CEIError(
+            f"episode {index}: {path} has {table.num_rows} of its frames, where meta/episodes says {length}; "
+            "download or record the dataset again."
+        )
+    return table

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cei_converters.decoding import decode_frames
+from cei_converters.decoding import decode_frames, encoded_images
 from cei_gym.demonstration import Camera
 from cei_gym.errors import CEIError, one_line, unknown
 
@@ -41,7 +41,7 @@ def check_depth_feature(key: str, feature: Mapping[str, Any], cameras: Mapping[s
             f"it should be ({camera.height}, {camera.width}, 1)."
         )
     unit = (feature.get("info") or {}).get("depth_unit")
-    if unit not in (None, *_UNITS):
+    if unit is not None and unit not in _UNITS:
         raise unknown(f"depth_unit of {key}", unit, _UNITS)
 
 
@@ -54,10 +54,11 @@ def image_depth_m(column: Any, feature: Mapping[str, Any], camera: Camera, where
     import cv2  # three times as fast as Pillow, and without the GIL
     from lerobot.configs.video import infer_depth_unit
 
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong is said below
+
     unit = (feature.get("info") or {}).get("depth_unit")
     depth_m = np.empty((len(column), camera.height, camera.width), np.float32)
-    for frame, cell in enumerate(column):
-        stored = cell["bytes"].as_py() or b""
+    for frame, stored in enumerate(encoded_images(column, where)):
         depth = cv2.imdecode(np.frombuffer(stored, np.uint8), cv2.IMREAD_UNCHANGED) if stored else None
         if depth is None or depth.shape != depth_m.shape[1:]:
             found = "none" if depth is None else f"one of {'x'.join(map(str, depth.shape[::-1]))}"

@@ -8,7 +8,7 @@ import gymnasium as gym
 from gymnasium.envs.registration import load_env_creator
 
 import cei_gym  # noqa: F401  (registers the environments)
-from cei_gym.errors import CEIError, unknown
+from cei_gym.errors import CEIError, one_line, unknown
 
 PREFIX = "CEI-"
 
@@ -25,7 +25,12 @@ def open_environment(env_id: str, **kwargs: Any) -> gym.Env:
     if env_id not in ids:
         raise unknown("environment", env_id, ids)
     check_arguments(env_id, kwargs)
-    return gym.make(env_id, **kwargs)
+    try:
+        return gym.make(env_id, **kwargs)
+    except CEIError:
+        raise
+    except (TypeError, ValueError, AssertionError, gym.error.Error) as error:  # arguments may come from a dataset
+        raise CEIError(f"{env_id} cannot be opened with {one_line(kwargs, 100)}: {one_line(error)}") from error
 
 
 def check_arguments(env_id: str, kwargs: Mapping[str, Any]) -> None:

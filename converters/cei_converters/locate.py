@@ -1,11 +1,11 @@
 """Find a dataset's folder and check its version, before anything heavy is imported."""
 
-import json
 from pathlib import Path
 
 from cei_converters.hub import check_repo_id
 from cei_converters.metadata import METADATA_PATH
 from cei_gym.errors import CEIError, one_line
+from cei_gym.untrusted import load_json
 
 INFO_PATH = "meta/info.json"
 
@@ -89,7 +89,7 @@ def read_info(root: Path) -> dict:
         CEIError: it is no JSON object.
     """
     try:
-        info = json.loads((root / INFO_PATH).read_text())
+        info = load_json((root / INFO_PATH).read_text())
     except (OSError, ValueError) as error:
         raise CEIError(f"{root / INFO_PATH} cannot be read: {error}.") from error
     if not isinstance(info, dict):

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ import numpy as np
 from draccus.utils import DraccusException
 
 from cei_gym.demonstration import Scene
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
+from cei_gym.untrusted import load_json
 
 FORMAT_VERSION = "1.0"
 METADATA_PATH = "meta/cei.json"
@@ -91,7 +93,7 @@ class Metadata:
         path = root / METADATA_PATH
         where = f"{root.name}/{METADATA_PATH}"
         try:
-            raw = json.loads(path.read_text())
+            raw = load_json(path.read_text())
         except FileNotFoundError as error:
             raise CEIError(f"{where} is missing; it needs {REQUIRED}.") from error
         except (ValueError, OSError) as error:
@@ -104,9 +106,24 @@ class Metadata:
         try:
             metadata = draccus.decode(cls, raw)
         except DraccusException as error:
-            raise CEIError(f"{where}: {' '.join(str(error).split())}; needed: {REQUIRED}.") from error
+            raise CEIError(f"{where}: {one_line(error)}; needed: {REQUIRED}.") from error
+        empty = [name for name, value in _values(metadata.scene, "scene") if value is None]
+        if metadata.embodiment is None or empty:  # draccus takes null for anything
+            raise CEIError(f"{where}: {[*empty, 'embodiment'][0]} is null; needed: {REQUIRED}.")
         check_scene(metadata.scene, f"{where}: scene")
         return metadata
+
+
+def _values(value: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Values of dataclasses in each other, and where they are."""
+    if dataclasses.is_dataclass(value):
+        for each in dataclasses.fields(value):
+            yield from _values(getattr(value, each.name), f"{name}.{each.name}")
+    elif isinstance(value, tuple):
+        for i, item in enumerate(value):
+            yield from _values(item, f"{name}.{i}")
+    else:
+        yield name, value
 
 
 def plain(value: object) -> Any:
@@ -132,7 +149,7 @@ def check_scene(scene: Scene, where: str) -> None:
     """
     _check_pose(scene.T_world_base, f"{where}: T_world_base")
     workspace = scene.workspace_world
-    if workspace.shape != (2, 3) or not (workspace[0] < workspace[1]).all():
+    if workspace.shape != (2, 3) or not np.isfinite(workspace).all() or not (workspace[0] < workspace[1]).all():
         raise CEIError(f"{where}: workspace_world should be [[x, y, z] lower, [x, y, z] upper] in metres.")
     names = [camera.name for camera in scene.cameras]
     if len(set(names)) != len(names):

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+from cei_converters.info import check_episodes, check_info
+from cei_converters.locate import INFO_PATH, read_info
 from cei_converters.metadata import METADATA_PATH, REQUIRED, Metadata
 from cei_gym.embodiment import Embodiment, embodiment_names, load_embodiment
 from cei_gym.errors import CEIError, one_line, unknown
@@ -58,7 +60,7 @@ def load_lerobot_metadata(repo_id: str, root: Path) -> Any:
     """LeRobot's own metadata, a `LeRobotDatasetMetadata`.
 
     Raises:
-        CEIError: a file is missing or damaged, or there are no episodes.
+        CEIError: a file is missing, damaged or wrong, or there are no episodes.
     """
     import pyarrow.parquet as pq
     from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
@@ -67,6 +69,9 @@ def load_lerobot_metadata(repo_id: str, root: Path) -> Any:
     for path in ("meta/episodes", "meta/tasks.parquet", "data"):
         if not (root / path).exists():
             raise CEIError(f"{root} is no complete v3.0 dataset: {path} is missing.")
+    if not any((root / "meta/episodes").glob("*/*.parquet")):
+        raise CEIError(f"{root} is no complete v3.0 dataset: meta/episodes has no Parquet file.")
+    check_info(read_info(root), str(root / INFO_PATH))
     for path in sorted((root / "meta").rglob("*.parquet")):
         try:
             pq.read_metadata(path)
@@ -81,5 +86,6 @@ def load_lerobot_metadata(repo_id: str, root: Path) -> Any:
             f"{root}/meta cannot be read ({one_line(error)}); download or record the dataset again."
         ) from error
     if meta.total_episodes == 0:
-        raise CEIError(f"{root} has no episodes.")
+        raise CEIError(f"{root} has no episodes: total_episodes in {INFO_PATH} is 0.")
+    check_episodes(meta.episodes, meta.total_episodes, root)
     return meta

@@ -54,7 +54,10 @@ def check_joint_names(names: Sequence[str], embodiment: Embodiment, where: str) 
         CEIError: saying which name differs first and what would be right.
     """
     for name in names:
-        parse_joint_feature_name(name)
+        try:
+            parse_joint_feature_name(name)
+        except CEIError as error:
+            raise CEIError(f"{where}: {error}") from error
     expected = joint_feature_names(embodiment)
     if len(names) != len(expected):
         raise CEIError(
@@ -77,8 +80,9 @@ def feature_names(feature: Mapping[str, object]) -> list[str]:
     """Names of a feature's entries: LeRobot has them as a list, older datasets as a dict with one list."""
     names = feature.get("names") or []
     if isinstance(names, Mapping):
-        names = [name for group in names.values() for name in group]
-    return [str(name) for name in names]
+        groups = list(names.values())
+        names = [name for group in groups for name in group] if all(isinstance(g, list) for g in groups) else [*names]
+    return [str(name) for name in (names if isinstance(names, (list, tuple)) else [names])]
 
 
 def features(embodiment: Embodiment, demonstration: Demonstration) -> dict[str, dict]:

@@ -1,0 +1,79 @@
+"""YAML and JSON from strangers: no aliases that stand for a billion values, no key twice, no bottomless nesting."""
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import yaml
+
+from cei_gym.errors import CEIError, one_line
+
+MAX_VALUES = 100_000
+
+
+def load_yaml(text: str) -> Any:
+    """Plain values from YAML.
+
+    Raises:
+        CEIError: it is no YAML, or has what is not allowed; without the file's name, which the caller knows.
+    """
+    return _load(_parse_yaml, text)
+
+
+def load_json(text: str) -> Any:
+    """Plain values from JSON.
+
+    Raises:
+        CEIError: as `load_yaml`.
+    """
+    return _load(lambda text: json.loads(text, object_pairs_hook=_object), text)
+
+
+def _load(parse: Callable[[str], Any], text: str) -> Any:
+    try:
+        return parse(text)
+    except RecursionError:
+        raise CEIError("its values are nested too deeply") from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise CEIError(one_line(error)) from error
+
+
+def _parse_yaml(text: str) -> Any:
+    loader = _Loader(text)
+    node = loader.get_single_node()
+    if node is None:
+        return None
+    if _size(node, {}) > MAX_VALUES:
+        raise CEIError(f"it stands for more than {MAX_VALUES} values; has it aliases (*name) of aliases?")
+    return loader.construct_document(node)
+
+
+def _size(node: yaml.Node, known: dict[yaml.Node, float]) -> float:
+    """How many values a node stands for, aliases written out; infinitely many if it is part of itself."""
+    if node not in known:
+        known[node] = math.inf
+        parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+        if isinstance(node, yaml.MappingNode):
+            parts = [part for pair in node.value for part in pair]
+        known[node] = 1 + sum(_size(part, known) for part in parts)
+    return known[node]
+
+
+class _Loader(yaml.SafeLoader):
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        _refuse_repeated([key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)])
+        return super().construct_mapping(node, deep)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    _refuse_repeated([key for key, _ in pairs])
+    return dict(pairs)
+
+
+def _refuse_repeated(keys: list[str]) -> None:
+    seen: set[str] = set()
+    for key in keys:
+        if key in seen:
+            raise CEIError(f"{one_line(key, 60)!r} is given twice")
+        seen.add(key)
