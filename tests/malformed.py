@@ -760,7 +760,7 @@ def _info() -> Iterator[Case]:
         yield case(
             f"codebase_version is {value!r}",
             has(file, "codebase_version", value=value),
-            "" if value == "v2.1" else "are read",
+            "has no meta/episodes.jsonl" if value == "v2.1" else "are read",
         )
     for value in (0, -20, "20", None, [20], {}, np.nan, np.inf, True, 1e308):
         yield case(f"fps is {value!r}", has(file, "fps", value=value), "fps")

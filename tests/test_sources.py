@@ -297,10 +297,14 @@ def test_an_old_dataset_that_is_damaged_is_refused(v21: Path, tmp_path: Path, mo
 
     monkeypatch.setattr(constants, "HF_LEROBOT_HOME", tmp_path / "home")
     root = Path(shutil.copytree(v21, tmp_path / "broken"))
-    (root / "meta/tasks.jsonl").unlink()
-    with pytest.raises(CEIError, match="cannot be converted to v3"):
+    data = root / "data/chunk-000/episode_000001.parquet"
+    data.write_bytes(data.read_bytes()[:100])
+    with pytest.raises(CEIError, match=r"cannot be converted to v3\.0"):
         open_source("me/old", root, embodiment=ROBOT)
     assert list((tmp_path / "home/upgraded").iterdir()) == []
+    (root / "meta/tasks.jsonl").unlink()
+    with pytest.raises(CEIError, match=r"says that its codebase_version is v2\.0, but has no meta/tasks\.jsonl"):
+        open_source("me/old", root, embodiment=ROBOT)
     info = json.loads((root / "meta/info.json").read_text())
     (root / "meta/info.json").write_text(json.dumps(info | {"codebase_version": "v1.6"}))
     with pytest.raises(CEIError, match="has codebase_version 'v1"):

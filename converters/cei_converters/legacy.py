@@ -15,19 +15,25 @@ _META = ("episodes.jsonl", "tasks.jsonl", "episodes_stats.jsonl")
 _KEPT = ("README.md", "LICENSE", "meta/modality.json")
 
 
-def upgrade(root: Path) -> Path:
+def upgrade(root: Path, version: str) -> Path:
     """Folder of the same dataset as v3.0, in LeRobot's cache; the original stays as it is.
 
     LeRobot converts in place, and v2.1 alone; so it works on a folder of links, to which v2.0's missing statistics are added.
     Cameras without a single file are left out, as in GR00T's published datasets.
 
+    Args:
+        root: its folder.
+        version: what it says it is.
+
     Raises:
-        CEIError: LeRobot refuses it.
+        CEIError: it is not what it says, or LeRobot refuses it.
     """
     from lerobot.utils.constants import HF_LEROBOT_HOME
 
     from cei_converters.provenance import fingerprint
 
+    if missing := [name for name in _META[:2] if not (root / "meta" / name).is_file()]:
+        raise CEIError(f"{root} says that its codebase_version is {version}, but has no meta/{missing[0]}.")
     digest = fingerprint(root).partition(":")[2][:16]
     upgraded = HF_LEROBOT_HOME / "upgraded" / f"{root.resolve().name}-{digest}"
     if upgraded.is_dir():

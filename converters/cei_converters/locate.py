@@ -105,4 +105,4 @@ def _as_v30(root: Path) -> Path:
 
     if version not in legacy.VERSIONS:
         raise CEIError(f"{root} has codebase_version {version!r}; v3.0, {' and '.join(legacy.VERSIONS)} are read.")
-    return legacy.upgrade(root)
+    return legacy.upgrade(root, version)
