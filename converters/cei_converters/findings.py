@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cei_converters.joint_map import JointMap as Map
-from cei_converters.joint_map import bind
+from cei_converters.joint_map import JointMap, bind
 from cei_converters.recording import Recordings
 from cei_gym.embodiment import Embodiment
 
@@ -206,7 +205,7 @@ def _fitting(
     return best if least < 0.5 * len(joints) else None
 
 
-def check_map(recordings: Recordings, mapped: Map, embodiment: Embodiment) -> list[str]:
+def check_map(recordings: Recordings, mapped: JointMap, embodiment: Embodiment) -> list[str]:
     """What is wrong with joints that a map makes of the columns.
 
     Raises:

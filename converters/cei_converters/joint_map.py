@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -238,10 +237,3 @@ def _check_ignored(joint_map: JointMap, columns: Sequence[str], used: set[int], 
         raise CEIError(
             f"{where}: columns {names} are neither used nor ignored; list them under ignore, or write ignore: {_REST}."
         )
-
-
-def describe(joint_map: JointMap) -> dict[str, Any]:
-    """A map as plain values, for provenance."""
-    from cei_converters.metadata import plain
-
-    return plain(joint_map)

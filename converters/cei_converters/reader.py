@@ -58,7 +58,6 @@ class DatasetReader(Source):
         self._meta = load_lerobot_metadata(repo_id, self.root)
         self.fps = float(self._meta.fps)
         self.has_clouds = schema.POINT_CLOUD in self._meta.features
-        self._map = joint_map
         self._bound = self._bind(joint_map)
         self._check_features()
 
