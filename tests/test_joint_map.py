@@ -8,7 +8,7 @@ import killed
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cei_converters.inspecting import main as inspect
@@ -24,6 +24,7 @@ BODY = load_embodiment(ROBOT)
 INDEPENDENT = [BODY.joint_names[q] for q in BODY.coupled.independent]
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.permutations(range(8)), st.lists(st.sampled_from((1, -1)), min_size=7, max_size=7), st.integers(0, 1000))
 def test_what_is_scrambled_comes_back(order: list[int], sign: list[int], seed: int) -> None:
     random = np.random.default_rng(seed)
