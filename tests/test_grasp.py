@@ -949,9 +949,10 @@ def test_what_is_remembered_is_thin_near_and_complete(seed: int, frames: int, n:
         assert seen <= set(voxels)
         if t == 0:
             assert len(voxels) == len(set(voxels)) == len(seen)
-        for past in kept[:t]:
+        for frame, past in enumerate(kept[:t]):
             apart = np.linalg.norm(past[:, None] - points[None], axis=-1)
-            assert not len(past) or (apart.min(axis=1) < 0.02).all()
+            # each frame may put another point in a point's place, up to 12 mm away
+            assert not len(past) or (apart.min(axis=1) <= 0.012 * (t - frame)).all()
 
 
 # -- distances of links to points ----------------------------------------------------------------------------
