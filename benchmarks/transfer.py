@@ -50,12 +50,12 @@ def write(root: Path, demonstrations: list[Demonstration], count: int) -> None:
             writer.add(demonstrations[i % len(demonstrations)])
 
 
-def convert(root: Path, target: str, count: int) -> dict:
-    """A conversion in a process of its own."""
+def convert(root: Path, target: str, count: int, *more: str) -> dict:
+    """A conversion in a process of its own, with more options maybe."""
     new_root = root.with_name(f"converted_{count}")
     command = [sys.executable, "-m", "cei_converters.convert", "--dataset.repo_id=benchmark/source"]
     command += [f"--dataset.root={root}", f"--target={target}", "--new_repo_id=benchmark/converted"]
-    command += [f"--new_root={new_root}", f"--episodes={','.join(map(str, range(count)))}"]
+    command += [f"--new_root={new_root}", f"--episodes=0-{count - 1}", *more]
     start = perf_counter()
     process = psutil.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     cpu_s, memory = watch(process)

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import yaml
 
 ROBOT = "Panda-PandaGripper"
-INFO, CEI, CARD = "meta/info.json", "meta/cei.json", "README.md"
+INFO, CEI, RECORDS, CARD = "meta/info.json", "meta/cei.json", "meta/cei_episodes.jsonl", "README.md"
 STATS, TASKS, EPISODES = "meta/stats.json", "meta/tasks.parquet", "meta/episodes/chunk-000/file-000.parquet"
 DATA = "data/chunk-000/file-000.parquet"
 VIDEO_KEY, PICTURE_KEY, DEPTH_KEY = "observation.images.front", "observation.images.side", "observation.depth.front"
@@ -65,6 +65,7 @@ def corpus(seed: int = 0, damages: int = 3) -> list[Case]:
         *_calibration(),
         *_info(),
         *_cei(),
+        *_records(),
         *_tables(),
         *_video(),
         *_replay(),
@@ -137,6 +138,7 @@ def write_dataset(root: Path) -> None:
 
     from cei_converters import schema
     from cei_converters.metadata import Environment, Metadata
+    from cei_converters.records import RecordWriter
     from cei_gym.demonstration import Camera, Scene
     from cei_gym.embodiment import load_embodiment
 
@@ -165,8 +167,10 @@ def write_dataset(root: Path) -> None:
     dataset.finalize()
     K = np.array([[60.0, 0.0, 32.0], [0.0, 60.0, 24.0], [0.0, 0.0, 1.0]])
     scene = Scene(np.eye(4), (Camera("front", WIDTH, HEIGHT, K, np.eye(4)),), np.array([[-1.0] * 3, [1.0] * 3]))
-    records = tuple({"seed": seed} for seed in range(len(LENGTHS)))
-    Metadata(ROBOT, scene, Environment(f"CEI-PickCube-{ROBOT}", {}), episodes=records).save(root)
+    Metadata(ROBOT, scene, Environment(f"CEI-PickCube-{ROBOT}", {})).save(root)
+    with RecordWriter(root) as records:
+        for seed in range(len(LENGTHS)):
+            records.add({"seed": seed})
     (root / CARD).write_text("---\nlicense: mit\n---\n# Pick\n")
     (root / "cameras.yaml").write_text(yaml.safe_dump(CALIBRATION, default_flow_style=True, width=10_000).strip())
 
@@ -912,10 +916,24 @@ def _cei() -> Iterator[Case]:
             has(file, "environment", value=value),
             "environment" if value != {"x": 1} else "x",
         )
-    for value in (None, "x", [5], [None], ["x"], [[1]]):
-        yield case(f"episodes is {value!r}", has(file, "episodes", value=value), "episodes")
+    yield case("episodes are in it", has(file, "episodes", value=[]), "episodes")
     for value in (None, "x", {"source": 5}, {"source": {}}):
         yield case(f"provenance is {value!r}", has(file, "provenance", value=value), "provenance")
+
+
+def _records() -> Iterator[Case]:
+    file = RECORDS
+
+    def case(name: str, spoil: Spoil, says: str = file) -> Case:
+        return Case("dataset", f"records: {name}", spoil, says, "convert")
+
+    for name, content in NO_JSON.items():
+        if name != "empty":  # nothing is known of the episodes
+            yield case(name, put(file, content))
+    yield case("a folder", folder_at(file))
+    yield case("a field twice", put(file, b'{"seed": 1, "seed": 2}\n{}\n'), "seed")
+    yield case("the second is cut short", put(file, b'{"seed": 1}\n{"seed": '), "line 2")
+    yield case("an empty line", put(file, b'{"seed": 1}\n\n{"seed": 2}\n'), "line 2")
 
 
 def _tables() -> Iterator[Case]:

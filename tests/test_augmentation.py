@@ -18,6 +18,7 @@ from cei_converters.cameras import Pictures
 from cei_converters.conversion import shard
 from cei_converters.episodes import encode_episode
 from cei_converters.reader import DatasetReader
+from cei_converters.records import Records
 from cei_converters.writer import DatasetWriter
 from cei_gym.alignment import InitialisationOptions
 from cei_gym.augmentation import (
@@ -221,7 +222,7 @@ def augmented(source: Path) -> Path:
 
 
 def records(root: Path) -> list[dict]:
-    return json.loads((root / "meta/cei.json").read_text())["episodes"]
+    return list(Records(root))
 
 
 def test_every_episode_becomes_one_for_each_place(augmented: Path) -> None:
@@ -258,6 +259,19 @@ def test_it_is_the_same_however_it_is_cut_and_interrupted(
     assert "--augment.seed was 0, now it is 1" in capsys.readouterr().err
     assert convert.main([*args, "--resume"]) == 0
     same(tmp_path / "out", augmented)
+
+
+def test_of_many_episodes_the_table_has_the_worst(source: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    args = killed.arguments(source, tmp_path / "out", "--augment.grid=9,6", "--episodes=0", "--dry_run")
+    assert convert.main([*args, "--shard_episodes=50", f"--json={tmp_path / 'all.json'}"]) == 0
+    printed = capsys.readouterr().out
+    assert "of 54 episodes, the 20 of lowest quality, and the mean of all" in " ".join(printed.split())
+    rows = [line.split("│")[1:-1] for line in printed.splitlines() if line.startswith("│")]
+    qualities = sorted(entry["quality"] for entry in json.loads((tmp_path / "all.json").read_text())["results"])
+    assert len(qualities) == 54
+    shown = [float(row[-2]) for row in rows]
+    np.testing.assert_allclose(shown, [*qualities[:20], np.mean(qualities)], rtol=5e-3)
+    assert rows[-1][0].strip() == "mean"
 
 
 def test_what_cannot_be_is_left_out_and_counted(source: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

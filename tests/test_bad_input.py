@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from cei_converters.options import parse_episodes
 from cei_converters.schema import parse_joint_feature_name
 from cei_converters.writer import DatasetWriter
 from cei_gym.demonstration import Camera, Demonstration, Scene
@@ -178,9 +179,11 @@ def test_push_needs_a_login(refuse: Callable, monkeypatch: pytest.MonkeyPatch) -
 def test_episodes(refuse: Callable) -> None:
     assert "me/pick has no episode 2. Valid: 0 to 1." in refuse(episodes="0,2")
     assert "no episode -1" in refuse(episodes="-1")
-    assert "repeats one: 0, 0" in refuse(episodes="0,0")
+    assert "repeats 0." in refuse(episodes="0-1,0")
     assert "no list of episode indices" in refuse(episodes="[]")
-    assert "it should read like 0,3,5" in refuse(episodes="first")
+    for episodes in ("first", "3-1", "0-1-2", "0-", "-", "0-99999999999999"):
+        assert "it should read like 0,3,5 or 0-99." in refuse(episodes=episodes)
+    assert parse_episodes("[7, 0 - 2,5]") == [7, 0, 1, 2, 5]
 
 
 def test_unreachable_episode(refuse: Callable) -> None:

@@ -13,6 +13,7 @@ import yaml
 from cei_converters import convert, schema
 from cei_converters.calibration import FORMAT, load_calibration
 from cei_converters.reader import DatasetReader
+from cei_converters.records import Records
 from cei_gym.demonstration import Camera, Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
@@ -149,7 +150,7 @@ def episodes(root: Path) -> list[list[dict]]:
 
 
 def records(root: Path) -> list[dict]:
-    return json.loads((root / "meta/cei.json").read_text())["episodes"]
+    return list(Records(root))
 
 
 # depth

@@ -15,6 +15,7 @@ from cei_converters.columns import encode
 from cei_converters.metadata import Environment, Metadata, Source
 from cei_converters.provenance import collect, command_line, fingerprint
 from cei_converters.reader import DatasetReader
+from cei_converters.records import Records
 from cei_converters.writer import DatasetWriter
 from cei_gym.demonstration import Camera, Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
@@ -161,8 +162,12 @@ def test_metadata_round_trips(root: Path) -> None:
     assert metadata.provenance.source.repo_id == "me/other"
     assert metadata.provenance.versions["lerobot"]
     assert metadata.provenance.options["transfer"] == {"steps": 100}
-    assert [record["seed"] for record in metadata.episodes] == [0, 1]
-    assert metadata.episodes[0]["alignment"]["bad"] is None
+    records = Records(root)
+    assert [record["seed"] for record in records] == [0, 1]
+    assert (len(records), records[-1], records[:1]) == (2, list(records)[1], [records[0]])
+    assert records[0]["alignment"]["bad"] is None
+    with pytest.raises(IndexError):
+        records[2]
     np.testing.assert_array_equal(metadata.scene.cameras[1].K, EPISODES[0].scene.cameras[1].K)
     raw = json.loads((root / "meta/cei.json").read_text())
     assert "y down" in raw["conventions"]["camera"]

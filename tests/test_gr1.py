@@ -1,6 +1,5 @@
 """A real third-party dataset: a GR-1's right arm and hand become a gripper and another hand, and its joint map is the right one."""
 
-import json
 from pathlib import Path
 
 import av
@@ -12,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cei_converters import convert
 from cei_converters.joint_map import bind, load_joint_map
+from cei_converters.records import Records
 from cei_converters.sources import open_source
 from cei_gym.embodiment import catalogue, load_embodiment
 from cei_gym.kinematics import KinematicTree
@@ -140,7 +140,7 @@ def test_it_converts_hand_to_gripper_and_hand_to_hand(
     body = load_embodiment(target)
     assert len(made) == 328 and made.fps == 20
     assert (made.qpos >= body.lower - 1e-6).all() and (made.qpos <= body.upper + 1e-6).all()
-    record = json.loads((root / "meta/cei.json").read_text())["episodes"][0]["alignment"]
+    record = Records(root)[0]["alignment"]
     assert record["pad_distance_mm_mean"] < 25  # a hand opens wider than a gripper
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 

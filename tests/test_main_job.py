@@ -12,6 +12,7 @@ from cei_converters import convert, pads, record, replay
 from cei_converters.environment import open_environment
 from cei_converters.metadata import Metadata
 from cei_converters.reader import DatasetReader
+from cei_converters.records import Records
 from cei_envs.rollout import NEW_ROLLOUT
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
@@ -223,7 +224,7 @@ def test_metadata_and_card_say_how_it_was_made(job: Path) -> None:
     assert provenance["options"]["contact"]["squeeze_m"] == pytest.approx(0.01)
     assert provenance["options"]["basins"][0]["cost"] < 0
     assert provenance["versions"]["lerobot"]
-    assert [r["seed"] for r in metadata["episodes"]] == [3, 4]
+    assert [record["seed"] for record in Records(job / "target")] == [3, 4]
     card = (job / "target" / "README.md").read_text()
     assert "[More Information Needed]" not in card
     assert "cross-embodiment" in card

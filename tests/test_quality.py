@@ -13,6 +13,7 @@ from PIL import Image
 from cei_converters import convert
 from cei_converters.gate import Gate
 from cei_converters.reader import DatasetReader
+from cei_converters.records import Records
 from cei_gym.alignment import AlignmentProblem, AlignmentReport, Clearance, Track, assess, make_report
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
@@ -158,7 +159,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def records(root: Path) -> list[dict[str, Any]]:
-    return json.loads((root / "meta/cei.json").read_text())["episodes"]
+    return list(Records(root))
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +194,10 @@ def test_the_gate_drops_and_flags(source: Path, scores: np.ndarray, tmp_path: Pa
     assert [entry["episode"] for entry in found["results"]] == [each["episode"] for each in found["residuals"]] == kept
     card = (root / "README.md").read_text()
     assert "are left out (1)" in card
-    assert f"`flagged` in `meta/cei.json`: {', '.join(str(kept.index(index)) for index in sorted(flagged))}." in card
+    assert (
+        f"`flagged` in `meta/cei_episodes.jsonl`: {', '.join(str(kept.index(index)) for index in sorted(flagged))}."
+        in card
+    )
     assert "(meta/quality.png)" in card
     # the picture is of all of them, whatever the user's own style is
     before = Image.open(source.with_name("ungated") / "meta/quality.png")

@@ -11,6 +11,7 @@ import pytest
 
 from cei_converters import convert, record, replay, verify
 from cei_converters.reader import DatasetReader
+from cei_converters.records import Records
 from cei_converters.replay import Stage
 from cei_converters.verify import Verifier, VerifyOptions
 from cei_gym.alignment import InitialisationOptions
@@ -85,7 +86,7 @@ def result(root: Path) -> dict[str, Any]:
 
 
 def records(root: Path) -> list[dict[str, Any]]:
-    return json.loads((root / "meta" / "cei.json").read_text())["episodes"]
+    return list(Records(root))
 
 
 # -- what there is to try ------------------------------------------------------------------------------------------------

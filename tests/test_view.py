@@ -14,6 +14,7 @@ from PIL import Image
 from cei_converters import convert, record
 from cei_converters import view as cei_view
 from cei_converters.reader import DatasetReader
+from cei_converters.records import RECORDS_PATH, Records
 from cei_converters.view.episode import NORMAL_M, View, load_view
 from cei_converters.view.recording import save
 from cei_converters.view.sheet import write_sheet
@@ -287,11 +288,9 @@ def test_a_record_that_does_not_fit_the_source_is_refused(
     change: dict, message: str, job: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     root = shutil.copytree(job / "target", tmp_path / "target")
-    path = root / "meta" / "cei.json"
-    metadata = json.loads(path.read_text())
-    del metadata["episodes"][0]["source_frames"]
-    metadata["episodes"][0] |= change
-    path.write_text(json.dumps(metadata))
+    (first, *others), path = Records(root), root / RECORDS_PATH
+    del first["source_frames"]
+    path.write_text("".join(json.dumps(record) + "\n" for record in [first | change, *others]))
     assert cei_view.main([*dataset(root), *beside(job / "source"), f"--sheet={tmp_path / 'x.png'}"]) == 1
     assert message in capsys.readouterr().err
     assert not (tmp_path / "x.png").exists()

@@ -1,8 +1,9 @@
 """The dataset card: README.md of a recorded or converted dataset."""
 
 import json
+from array import array
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from cei_converters import schema
 from cei_converters.metadata import METADATA_PATH, PICTURE_PATH, Metadata, Source
+from cei_converters.records import RECORDS_PATH, Record, Records
 from cei_gym.untrusted import load_yaml
 
 CARD_PATH = "README.md"
@@ -46,7 +48,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     """Write README.md into a finished dataset."""
     from huggingface_hub import DatasetCard, DatasetCardData
 
-    info = json.loads((root / "meta/info.json").read_text())
+    info, records = json.loads((root / "meta/info.json").read_text()), Records(root)
     source = metadata.provenance.source
     data = DatasetCardData(
         **{name: getattr(source, name) for name in LICENSE if source is not None},
@@ -57,10 +59,10 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     )
     sections = [
         _introduction(repo_id, metadata, info),
-        _quality(root, metadata),
-        _augmented(metadata),
-        _verified(metadata),
-        _cameras(metadata, info),
+        _quality(root, metadata, records),
+        _augmented(records),
+        _verified(metadata, records),
+        _cameras(metadata, info, records),
         _layout(metadata, info),
         _usage(repo_id, metadata),
         _provenance(metadata),
@@ -101,80 +103,78 @@ def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
     return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-def _quality(root: Path, metadata: Metadata) -> str:
-    scored = [record["quality"] for record in metadata.episodes if "quality" in record]
-    measured = [{"quality": quality["score"], **quality["parts"]} for quality in scored]
-    reports = [record["alignment"] for record in metadata.episodes if "alignment" in record]
-    rows = [*_spread(measured), *_spread(reports)]
+def _quality(root: Path, metadata: Metadata, records: Records) -> str:
+    scored = _spread(
+        {"quality": record["quality"]["score"], **record["quality"]["parts"]}
+        for record in records
+        if "quality" in record
+    )
+    rows = scored + _spread(record.get("alignment", {}) for record in records)
     if not rows:
         return ""
     parts = ["## Quality of the alignment"]
     if (root / PICTURE_PATH).is_file():
         parts.append(f"![Scores of all episodes, and the worst ones]({PICTURE_PATH})")
     if scored:
-        parts.append(PARTS + _gated(metadata))
-    text = f"Over the episodes; per episode in `{METADATA_PATH}`."
+        parts.append(PARTS + _gated(metadata, records))
+    text = f"Over the episodes; per episode in `{RECORDS_PATH}`."
     return "\n\n".join([*parts, text, _table(("per episode", "mean", "least", "largest"), rows)])
 
 
-def _spread(records: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+def _spread(records: Iterable[Record]) -> list[tuple[str, ...]]:
     """Rows of a table: each number that records hold, over all of them."""
-    rows = []
-    for key in dict.fromkeys(key for record in records for key in record):
-        values = [v for record in records if isinstance(v := record.get(key), (int, float)) and not isinstance(v, bool)]
-        if values:
-            rows.append((f"`{key}`", *(f"{f(values):.4g}" for f in (np.mean, np.min, np.max))))
-    return rows
+    values: dict[str, array] = {}
+    for record in records:
+        for key, value in record.items():
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                values.setdefault(key, array("d")).append(value)
+    return [(f"`{key}`", *(f"{f(v):.4g}" for f in (np.mean, np.min, np.max))) for key, v in values.items()]
 
 
-def _gated(metadata: Metadata) -> str:
+def _gated(metadata: Metadata, records: Records) -> str:
     """Sentences on what the quality gate did; empty if there was none."""
     options = metadata.provenance.options
     text = ""
     if "min_quality" in options:
         text += f" Episodes below {options['min_quality']:g} are left out ({len(options['gate']['dropped'])})."
     if "flag" in options:
-        flagged = [str(index) for index, record in enumerate(metadata.episodes) if record.get("flagged")]
-        text += f" Those below {options['flag']:g} are `flagged` in `{METADATA_PATH}`: {', '.join(flagged) or 'none'}."
+        flagged = [str(index) for index, record in enumerate(records) if record.get("flagged")]
+        text += f" Those below {options['flag']:g} are `flagged` in `{RECORDS_PATH}`: {', '.join(flagged) or 'none'}."
     return text
 
 
-def _augmented(metadata: Metadata) -> str:
-    moved = [record for record in metadata.episodes if "offset" in record]
-    if not moved:
+def _augmented(records: Records) -> str:
+    recorded = Counter(record["source_episode"] for record in records if "offset" in record)
+    if not recorded:
         return ""
-    rows = []
-    for name in moved[0]["offset"]:
-        values = [record["offset"][name] for record in moved]
-        rows.append((f"`{name}`", f"{min(values):.4g}", f"{max(values):.4g}"))
+    rows = _spread(record.get("offset", {}) for record in records)
     return (
-        f"## Spatial augmentation\n\n{len({record['source_episode'] for record in moved})} recorded episodes became "
-        f"{len(moved)}: in each, all objects are moved as one from where they were recorded, and the hand goes where they are. "
+        f"## Spatial augmentation\n\n{len(recorded)} recorded episodes became {recorded.total()}: in each, all objects are moved as one from where they were recorded, and the hand goes where they are. "
         "Their points move rigidly: what a camera did not see of them, or behind them, where they were recorded is also missing "
-        f"where they are now. Per episode in `{METADATA_PATH}`, under `offset`; `seed` there is that of the recorded start.\n\n"
-        + _table(("offset", "least", "largest"), rows)
+        f"where they are now. Per episode in `{RECORDS_PATH}`, under `offset`; `seed` there is that of the recorded start.\n\n"
+        + _table(("offset", "mean", "least", "largest"), rows)
     )
 
 
-def _verified(metadata: Metadata) -> str:
-    verdicts = [record["verified"] for record in metadata.episodes if "verified" in record]
-    if not verdicts:
+def _verified(metadata: Metadata, records: Records) -> str:
+    verdicts = (record["verified"] for record in records if "verified" in record)
+    kept = Counter(verdict["how"] if verdict["success"] else "fails" for verdict in verdicts)
+    if not kept:
         return ""
     dropped = metadata.provenance.options["verify"]["dropped"]
-    n = len(verdicts) + len(dropped)
-    kept = Counter(verdict["how"] if verdict["success"] else "fails" for verdict in verdicts)
+    n = kept.total() + len(dropped)
     text = (
         f"## Verified in simulation\n\nEpisodes were replayed in `{metadata.environment.id}` as they were converted. The "
         f"plain transfer succeeds in {kept['plain']} of {n}. Where it fails, others were tried: from another start, with "
-        f"another squeeze, with other points on the pads. With these, {len(verdicts) - kept['fails']} of {n} succeed. "
+        f"another squeeze, with other points on the pads. With these, {kept.total() - kept['fails']} of {n} succeed. "
     )
     if dropped:
         text += f"Left out are {len(dropped)} in which nothing did. "
-    text += f"Per episode in `{METADATA_PATH}`, under `verified`.\n\n"
+    text += f"Per episode in `{RECORDS_PATH}`, under `verified`.\n\n"
     return text + _table(("transfer", "episodes"), list(kept.items()))
 
 
-def _cameras(metadata: Metadata, info: dict) -> str:
+def _cameras(metadata: Metadata, info: dict, records: Records) -> str:
     """What the source's cameras became; empty for a recorded dataset."""
     source = metadata.provenance.source
     if source is None:
@@ -192,11 +192,11 @@ def _cameras(metadata: Metadata, info: dict) -> str:
             f" Pictures of {_listed(pictures)} are the source's, passed through untouched: **they still show "
             f"{source.embodiment}, not {metadata.embodiment}**."
         )
-    stretched = sum("source_frames" in record for record in metadata.episodes)
+    stretched = sum("source_frames" in record for record in records)
     if stretched and "video" in dtypes.values():
         text += (
-            f" In {stretched} of {len(metadata.episodes)} episodes {metadata.embodiment} needs more time, so frames "
-            f"repeat (`source_frames` in `{METADATA_PATH}`); their videos were encoded again."
+            f" In {stretched} of {len(records)} episodes {metadata.embodiment} needs more time, so frames "
+            f"repeat (`source_frames` in `{RECORDS_PATH}`); their videos were encoded again."
         )
     return f"## Cameras\n\n{text}"
 

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cei_converters import calibration, joint_map, pose
-from cei_converters.augment import check_left, count, counted
 from cei_converters.cli import run
 from cei_converters.conversion.config import ConvertConfig, check_options
-from cei_converters.gate import LOW_QUALITY, in_words
-from cei_converters.quality import check_reached, print_table
-from cei_converters.verify import Verdict, check_kept, sentence, summarise
+from cei_converters.quality import check_reached
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
+    from cei_converters.conversion.converter import Converter
+    from cei_converters.conversion.plan import Plan
+    from cei_converters.conversion.workplace import Workplace
     from cei_converters.metadata import Provenance
     from cei_converters.source import Source as Recorded
 
@@ -39,33 +39,27 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     """Convert a dataset; print a table of the quality of each episode.
 
     Returns:
-        The result: source, target, under `results` one entry an episode, under `residuals` the same frame by frame,
-        under `verify` what replaying showed, if asked for, and under `gate` which episodes are dropped or flagged for their
-        quality, if asked for. Episodes that are dropped are in the last two only.
+        The result: source, target, under `results` one entry an episode, under `verify` what replaying showed, if asked for,
+        and under `gate` which episodes are dropped or flagged for their quality, if asked for. Episodes that are dropped are in
+        the last two only. `--json` has `residuals`, too: frame by frame how far pads are apart.
 
     Raises:
         CEIError: bad options or data, an episode that the target cannot reach, or none that is kept.
     """
     check_options(config)
 
-    from cei_converters.conversion.assemble import assemble, outcomes
+    from cei_converters.conversion.assemble import assemble
     from cei_converters.conversion.converter import Converter
-    from cei_converters.conversion.executors import submit_slurm, warm_up
-    from cei_converters.conversion.plan import Plan, absolute
-    from cei_converters.conversion.workers import ShardTask, convert_shards, processes_for
-    from cei_converters.conversion.workplace import Workplace, tidy
-    from cei_converters.metadata import Metadata
+    from cei_converters.conversion.executors import warm_up
+    from cei_converters.conversion.outcomes import account, residuals
+    from cei_converters.conversion.workers import convert_shards, processes_for
+    from cei_converters.conversion.workplace import Workplace
     from cei_converters.progress import progress_bar
     from cei_converters.result import check_json_path, write_json
 
     check_json_path(config.json)
     if config.resume and (root := _new_root(config)).exists():
-        if Metadata.load(root).embodiment != config.target:
-            raise CEIError(f"{root} already exists and is no dataset of {config.target}; choose another folder.")
-        tidy(root)
-        print(f"{root} is finished; nothing is left to do{' but to upload it' * config.push_to_hub}.")
-        _upload(config, root)
-        return {"root": str(root), "repo_id": config.new_repo_id, "dry_run": False}
+        return _finished(config, root)
     with contextlib.ExitStack() as stack:
         if config.dry_run:
             root = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "dry_run"
@@ -80,48 +74,16 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         workers = config.workers or (local and os.cpu_count()) or len(converter.selected)
         if local and processes_for(workers, -(-len(converter.selected) // config.shard_episodes)) > 1:
             warm_up("cei_converters.conversion.preloaded")
-        provenance = _provenance(config, reader)
-        config = absolute(config, reader.root)
         frames = [reader.frames(index) for index in converter.selected]
         progress = stack.enter_context(progress_bar("frames"))
         task = progress.add_task("choosing the start", total=sum(frames))
-        if place.plan.exists():
-            plan = Plan.load(place.plan)
-            plan.check_same(config, provenance, place.folder)
-            plan = replace(plan, config=replace(config, shard_episodes=plan.config.shard_episodes))
-            converter.start_from(plan.finalists)
-        else:
-            converter.fit()
-            plan = Plan(config, provenance, converter.transfer.finalists, frames)
-            plan.save(place.plan)
+        plan = _planned(config, place, converter, frames)
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
-            place.keep()
-            shards, rest = ShardTask(str(place.root), missing, threads=1), _Rest(str(place.root))
-            logs = place.root.with_name(f"{place.root.name}.slurm")
-            job = submit_slurm(shards, rest, len(missing), config.workers or -1, logs, config.slurm)
-            print(f"Submitted {len(missing)} shards to Slurm; job {job} then makes {place.root}. Logs: {logs}.")
-            return {"root": str(place.root), "repo_id": config.new_repo_id, "dry_run": False, "job": job}
+            return _submitted(config, place, missing)
         progress.update(task, description="converting")
         convert_shards(place, plan, converter, workers, lambda done: progress.update(task, completed=done))
         progress.stop()
-        found = list(outcomes(place, plan))
-        kept = [outcome for outcome in found if not outcome["left_out"]]
-        entries, residuals = ([outcome[name] for outcome in kept] for name in ("entry", "residuals"))
-        verdicts = [Verdict(**outcome["verdict"]) for outcome in found if outcome["verdict"] is not None]
-        print_table(_rows(found, verdicts), f"{reader.embodiment.name} -> {config.target}")
-        summary = summarise(verdicts) if verdicts else None
-        if summary is not None:
-            print(f"Verification: {sentence(summary)}.")
-            check_kept(summary)
-        judged = None
-        if config.gate.bounds:
-            judged = config.gate.judge([o["entry"] for o in found if o["left_out"] in ("", LOW_QUALITY)])
-            print(f"Quality: {in_words(judged)}.")
-        augmented = None
-        if config.augment.enabled:
-            augmented = count(outcome["left_out"] for outcome in found)
-            print(f"Augmentation: {counted(augmented)}.")
-            check_left(augmented)
+        told = account(place, plan, f"{reader.embodiment.name} -> {config.target}")
         result = {
             "source": {"repo_id": reader.repo_id, "embodiment": reader.embodiment.name},
             "target": config.target,
@@ -131,24 +93,72 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "depth_cameras": list(reader.depth_cameras),
             "passed_through": list(converter.cameras),
             "ignored_features": reader.ignored_features,
-            "episodes": len(entries),
-            "frames": sum(entry["frames"] for entry in entries),
-            "results": entries,
-            "residuals": residuals,
-            **({"verify": summary} if summary is not None else {}),
-            **({"gate": judged} if judged is not None else {}),
-            **({"augment": augmented} if augmented is not None else {}),
+            "episodes": len(told.entries),
+            "frames": sum(entry["frames"] for entry in told.entries),
+            "results": told.entries,
+            **told.choices,
         }
-        if config.dry_run:
-            write_json(config.json, result)
-            if not config.allow_unreachable:
-                check_reached(config.target, entries)
-            return result
-        assemble(place, plan, converter, summary, judged)
-    write_json(config.json, result)
-    print(f"Wrote {len(entries)} episodes to {place.root}.")
+        if not config.dry_run:
+            assemble(place, plan, converter, told)
+        write_json(config.json, result, residuals=residuals(place, plan))
+    if config.dry_run:
+        if not config.allow_unreachable:
+            check_reached(config.target, told.entries)
+        return result
+    print(f"Wrote {len(told.entries)} episodes to {place.root}.")
     _upload(config, place.root)
     return result
+
+
+def _finished(config: ConvertConfig, root: Path) -> dict[str, Any]:
+    """What is to be done when a dataset is there that is gone on with: maybe its upload.
+
+    Raises:
+        CEIError: it is of another robot.
+    """
+    from cei_converters.conversion.workplace import tidy
+    from cei_converters.metadata import Metadata
+
+    if Metadata.load(root).embodiment != config.target:
+        raise CEIError(f"{root} already exists and is no dataset of {config.target}; choose another folder.")
+    tidy(root)
+    print(f"{root} is finished; nothing is left to do{' but to upload it' * config.push_to_hub}.")
+    _upload(config, root)
+    return {"root": str(root), "repo_id": config.new_repo_id, "dry_run": False}
+
+
+def _planned(config: ConvertConfig, place: "Workplace", converter: "Converter", frames: list[int]) -> "Plan":
+    """The plan that is gone on with, or a new one; the converter then starts where it says.
+
+    Raises:
+        CEIError: what was begun is not what is wanted now, or an episode cannot be read.
+    """
+    from cei_converters.conversion.plan import Plan, absolute
+
+    provenance = _provenance(config, converter.reader)
+    config = absolute(config, converter.reader.root)
+    if place.plan.exists():
+        plan = Plan.load(place.plan)
+        plan.check_same(config, provenance, place.folder)
+        converter.start_from(plan.finalists)
+        return replace(plan, config=replace(config, shard_episodes=plan.config.shard_episodes))
+    converter.fit()
+    plan = Plan(config, provenance, converter.transfer.finalists, frames)
+    plan.save(place.plan)
+    return plan
+
+
+def _submitted(config: ConvertConfig, place: "Workplace", missing: list[int]) -> dict[str, Any]:
+    """Leave the rest to Slurm."""
+    from cei_converters.conversion.executors import submit_slurm
+    from cei_converters.conversion.workers import ShardTask
+
+    place.keep()
+    shards, rest = ShardTask(str(place.root), missing, threads=1), _Rest(str(place.root))
+    logs = place.root.with_name(f"{place.root.name}.slurm")
+    job = submit_slurm(shards, rest, len(missing), config.workers or -1, logs, config.slurm)
+    print(f"Submitted {len(missing)} shards to Slurm; job {job} then makes {place.root}. Logs: {logs}.")
+    return {"root": str(place.root), "repo_id": config.new_repo_id, "dry_run": False, "job": job}
 
 
 def _upload(config: ConvertConfig, root: Path) -> None:
@@ -241,20 +251,6 @@ def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
 def _revision(root: Path) -> str | None:
     """Commit of a dataset in the hub's cache, where folders are named by it."""
     return root.name if root.parent.name == "snapshots" else None
-
-
-def _rows(outcomes: list[dict[str, Any]], verdicts: list[Verdict]) -> list[dict[str, Any]]:
-    """The table's rows, with which are flagged, why episodes are left out, and what verification found, if there is any of it."""
-    rows = [outcome["entry"] for outcome in outcomes]
-    for name, values in (
-        ("flagged", ["yes" if outcome["record"].get("flagged") else None for outcome in outcomes]),
-        ("left_out", [outcome["left_out"] or None for outcome in outcomes]),
-    ):
-        if any(values):
-            rows = [row | {name: value} for row, value in zip(rows, values, strict=True)]
-    if verdicts:
-        rows = [row | verdict.row() for row, verdict in zip(rows, verdicts, strict=True)]
-    return rows
 
 
 def main(args: list[str] | None = None) -> int:

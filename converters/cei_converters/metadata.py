@@ -1,4 +1,4 @@
-"""`meta/cei.json`: what LeRobot's format has no home for (scene, environment, provenance, records)."""
+"""`meta/cei.json`: what LeRobot's format has no home for (scene, environment, provenance). Its neighbour: `records`."""
 
 import dataclasses
 import json
@@ -67,13 +67,12 @@ class Provenance:
 
 @dataclass(frozen=True)
 class Metadata:
-    """Contents of `meta/cei.json`. `episodes` has one free-form record an episode, in order."""
+    """Contents of `meta/cei.json`."""
 
     embodiment: str
     scene: Scene
     environment: Environment = field(default_factory=Environment)
     provenance: Provenance = field(default_factory=Provenance)
-    episodes: tuple[dict[str, Any], ...] = ()
     conventions: dict[str, str] = field(default_factory=lambda: dict(CONVENTIONS))
     format_version: str = FORMAT_VERSION
 

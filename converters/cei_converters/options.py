@@ -1,22 +1,35 @@
 """Values of command-line options that draccus has no type for."""
 
+import re
+
 import numpy as np
 
 from cei_gym.errors import CEIError
 
+_MOST_EPISODES = 10_000_000
+
 
 def parse_episodes(text: str | None) -> list[int] | None:
-    """`0,3,5` or `[0, 3]` -> indices; None stays None.
+    """`0,3,5`, `[0, 3]` or `0-99,120` -> indices; None stays None.
 
     Raises:
         CEIError: it is no list of indices.
     """
     if text is None:
         return None
+    indices: list[int] = []
     try:
-        return [int(part) for part in text.strip().removeprefix("[").removesuffix("]").split(",")]
+        for part in text.strip().removeprefix("[").removesuffix("]").split(","):
+            span = re.fullmatch(r"\s*(\d+)\s*-\s*(\d+)\s*", part)
+            first, last = (int(end) for end in (span.groups() if span else (part, part)))
+            if not first <= last < first + _MOST_EPISODES:
+                raise ValueError
+            indices += range(first, last + 1)
     except ValueError as error:
-        raise CEIError(f"--episodes={text} is no list of episode indices; it should read like 0,3,5.") from error
+        raise CEIError(
+            f"--episodes={text} is no list of episode indices; it should read like 0,3,5 or 0-99."
+        ) from error
+    return indices
 
 
 def parse_pose(option: str, text: str | None) -> np.ndarray | None:

@@ -15,6 +15,7 @@ from cei_converters.depth import camera_name, check_depth_feature, image_depth_m
 from cei_converters.joint_map import BoundJointMap, JointMap, bind
 from cei_converters.locate import locate
 from cei_converters.opening import choose_embodiment, load_lerobot_metadata, load_metadata
+from cei_converters.records import Records
 from cei_converters.source import Source, scene_without_metadata
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.errors import CEIError
@@ -52,6 +53,7 @@ class DatasetReader(Source):
         self.repo_id = repo_id
         self.root = locate(repo_id, root)
         self.metadata = load_metadata(self.root, embodiment)
+        self.records = Records(self.root)
         self.embodiment = choose_embodiment(self.root, self.metadata, embodiment)
         scene = self.metadata.scene if self.metadata is not None else scene_without_metadata(T_world_base, calibration)
         self.scene = scene if calibration is None else calibration.over(scene)

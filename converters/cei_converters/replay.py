@@ -30,7 +30,7 @@ class ReplayConfig:
     source: SourceConfig = field(default_factory=SourceConfig)  # Shown beside it in the video.
     env: str | None = None  # Environment id; default: the one that the dataset names.
     stock_physics: bool = False  # Without the embodiment's physics exceptions, but for those that it cannot do without.
-    episodes: str | None = None  # Episodes to replay, such as 0,3,5; default: all.
+    episodes: str | None = None  # Episodes to replay, such as 0,3,5 or 0-99; default: all.
     video: str | None = None  # MP4 to write, with a contact sheet beside it; default: outputs/replay/<name>.mp4.
     video_episodes: int = 3  # How many episodes the video shows; 0 writes none.
     json: str | None = None  # File for the result as JSON.

@@ -3,7 +3,7 @@
 import contextlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,24 @@ def check_json_path(path: str | None) -> None:
         raise CEIError(f"--json={path}: there is no folder {Path(path).parent}.")
 
 
-def write_json(path: str | None, result: dict[str, Any]) -> None:
-    """Write a result in one go (a reader never sees half of it); nothing if no path is asked for."""
+def write_json(path: str | None, result: dict[str, Any], **long: Iterable[Any]) -> None:
+    """Write a result in one go (a reader never sees half of it); nothing if no path is asked for.
+
+    Args:
+        path: of the file.
+        result: JSON types, arrays and dataclasses; not empty.
+        long: lists that come after it, by name, of which memory holds one item.
+    """
     if path is None:
         return
-    with whole(Path(path)) as partial:
-        partial.write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
+    with whole(Path(path)) as partial, partial.open("w") as file:
+        file.write(json.dumps(plain(result), indent=1, allow_nan=False).removesuffix("\n}"))
+        for name, items in long.items():
+            file.write(f",\n {json.dumps(name)}: [")
+            for i, item in enumerate(items):
+                file.write(("," if i else "") + "\n  " + json.dumps(plain(item), allow_nan=False))
+            file.write("\n ]")
+        file.write("\n}\n")
 
 
 def check_new(option: str, path: str | None, suffix: str) -> Path | None:

@@ -1,6 +1,7 @@
 """What is converted: recorded episodes, whatever format they are in."""
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,6 +44,7 @@ class Source(ABC):
         root: its folder or file.
         embodiment, scene: of all its episodes.
         metadata: contents of `meta/cei.json`, or None.
+        records: what is known of each episode (seed, quality, ...), of those that it is known of.
         fps: frames a second.
         has_clouds: whether point clouds are recorded.
         segmented: whether pictures say where depth cameras see objects.
@@ -56,6 +58,7 @@ class Source(ABC):
     embodiment: Embodiment
     scene: Scene
     metadata: "Metadata | None" = None
+    records: Sequence[Mapping[str, Any]] = ()
     fps: float
     has_clouds: bool = False
     segmented: bool = False
@@ -87,9 +90,8 @@ class Source(ABC):
         return (self.read(index) for index in range(len(self)))
 
     def record(self, index: int) -> dict[str, Any]:
-        """What `meta/cei.json` keeps of an episode (seed, ...)."""
-        records = self.metadata.episodes if self.metadata is not None else ()
-        return dict(records[index]) if index < len(records) else {}
+        """What is known of an episode; empty if nothing is."""
+        return dict(self.records[index]) if index < len(self.records) else {}
 
     def check_videos(self, episodes: Sequence[int]) -> None:  # noqa: B027  (most formats have none)
         """Check that episodes' video files are there.
@@ -127,8 +129,9 @@ class Source(ABC):
         for index in episodes:
             if not 0 <= index < len(self):
                 raise CEIError(f"{self.repo_id} has no episode {index}. Valid: 0 to {len(self) - 1}.")
-        if len(set(episodes)) != len(episodes):
-            raise CEIError(f"the selection of episodes repeats one: {', '.join(map(str, episodes))}.")
+        (most, times), *_ = Counter(episodes).most_common(1)
+        if times > 1:
+            raise CEIError(f"the selection of episodes repeats {most}.")
         return list(episodes)
 
     def joints(self, state: np.ndarray, action: np.ndarray | None, index: int, bound: BoundJointMap | None) -> Joints:

@@ -16,7 +16,8 @@ from cei_converters.cameras import Pictures
 from cei_converters.card import write_card
 from cei_converters.columns import encode
 from cei_converters.episodes import EncodedEpisode, EpisodeWriter, encode_episode
-from cei_converters.metadata import Environment, Metadata, Provenance, check_scene, plain
+from cei_converters.metadata import Environment, Metadata, Provenance, check_scene
+from cei_converters.records import RecordWriter
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
@@ -87,9 +88,10 @@ class DatasetWriter:
         self._cameras = dict(cameras or {})
         self._partial = partial or self.root.parent / f".{self.root.name}.partial-{os.getpid()}"
         self._new_folders: list[Path] = []
-        self._records: list[dict[str, Any]] = []
         self._header: Header | None = None
         self._episodes: EpisodeWriter | None = None
+        self._records: RecordWriter | None = None
+        self._count = 0
 
     def __enter__(self) -> Self:
         if self.root.exists():
@@ -108,7 +110,7 @@ class DatasetWriter:
 
         Args:
             demonstration: the episode.
-            record: what `meta/cei.json` shall keep of it (seed, quality, ...).
+            record: what `meta/cei_episodes.jsonl` shall keep of it (seed, quality, ...).
             pictures: what cameras saw in these frames, if any pass through.
 
         Raises:
@@ -130,10 +132,11 @@ class DatasetWriter:
         if self._header is None:
             self._start(header)
         else:
-            _check_same(self._header, header, f"episode {len(self._records)}")
-        assert self._episodes is not None
+            _check_same(self._header, header, f"episode {self._count}")
+        assert self._episodes is not None and self._records is not None
         self._episodes.add(episode, pictures)
-        self._records.append(plain(record or {}))
+        self._records.add(record or {})
+        self._count += 1
 
     def _start(self, header: Header) -> None:
         if header.fps != int(header.fps):
@@ -146,6 +149,7 @@ class DatasetWriter:
             features=header.features | self._cameras,
             robot_type=header.embodiment,
         )
+        self._records = RecordWriter(self._partial)
         self._header = header
 
     def __exit__(
@@ -157,6 +161,8 @@ class DatasetWriter:
         finally:
             if self._episodes is not None:
                 self._episodes.finalize()
+            if self._records is not None:
+                self._records.close()
             if self._partial.exists():
                 shutil.rmtree(self._partial)
             for folder in self._new_folders:
@@ -164,15 +170,15 @@ class DatasetWriter:
                     folder.rmdir()
 
     def _finish(self) -> None:
-        if self._header is None or self._episodes is None:
+        if self._header is None or self._episodes is None or self._records is None:
             raise CEIError(f"no episode was written, so {self.root} is not made.")
         self._episodes.finalize()
+        self._records.close()
         metadata = Metadata(
             embodiment=self._header.embodiment,
             scene=self._header.scene,
             environment=self.environment,
             provenance=self.provenance,
-            episodes=tuple(self._records),
         )
         metadata.save(self._partial)
         write_card(self._partial, self.repo_id, metadata)

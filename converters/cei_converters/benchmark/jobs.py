@@ -12,6 +12,7 @@ from cei_converters.convert import ConvertConfig, convert
 from cei_converters.metadata import METADATA_PATH, Metadata
 from cei_converters.provenance import git_commit
 from cei_converters.record import RecordConfig, record
+from cei_converters.records import Records
 from cei_converters.replay import ReplayConfig, replay
 from cei_converters.report import physics_exceptions
 from cei_gym.embodiment import load_embodiment
@@ -97,7 +98,7 @@ def _is_current(root: Path) -> bool:
 
 
 def _seeds(root: Path) -> list[int]:
-    return [episode["seed"] for episode in Metadata.load(root).episodes]
+    return [record["seed"] for record in Records(root)]
 
 
 def _timed[Result](seconds: dict[str, float], name: str, call: Callable[[], Result]) -> Result:

@@ -1,14 +1,13 @@
 """Shards become a dataset."""
 
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from cei_converters.cameras import Pictures
 from cei_converters.conversion.converter import Converter
+from cei_converters.conversion.outcomes import Account, outcomes
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.quality_picture import write_summary
 from cei_converters.conversion.shard import Shard
@@ -18,30 +17,18 @@ from cei_converters.writer import DatasetWriter
 from cei_gym.transfer import Transfer
 
 
-def outcomes(place: Workplace, plan: Plan) -> Iterator[dict[str, Any]]:
-    """What became of each episode, in order; see `Converted`."""
-    for shard in range(len(plan.shards)):
-        yield from Shard(place.shard(shard)).outcomes
-
-
-def assemble(
-    place: Workplace,
-    plan: Plan,
-    converter: Converter,
-    verified: dict[str, Any] | None,
-    judged: dict[str, list[int]] | None,
-) -> None:
+def assemble(place: Workplace, plan: Plan, converter: Converter, told: Account) -> None:
     """Write the dataset, and move it to where it is wanted.
 
     Args:
         place: with all shards.
         plan: of the conversion.
         converter: fitted.
-        verified: what verification showed (`summarise`), if it was asked for.
-        judged: what the gate lets through (`Gate.judge`), if there is one.
+        told: what became of the episodes.
 
     Raises:
         CEIError: pictures that pass through are missing.
+        OSError: a shard is damaged.
     """
     config, reader = plan.config, converter.reader
     assert config.new_repo_id is not None
@@ -50,12 +37,14 @@ def assemble(
         config.new_repo_id,
         place.root,
         environment=converter.environment,
-        provenance=_with_choices(plan.provenance, converter.transfer, verified, judged),
+        provenance=_with_choices(plan.provenance, converter.transfer, told),
         cameras=converter.cameras,
         partial=place.dataset,
     ) as writer:
-        for shard in range(len(plan.shards)):
-            for converted in Shard(place.shard(shard)):
+        for number in range(len(plan.shards)):
+            shard = Shard(place.shard(number))
+            shard.check()
+            for converted in shard:
                 if converted.encoded is not None:
                     outcome = converted.outcome
                     frames = outcome["record"].get("source_frames")
@@ -64,22 +53,17 @@ def assemble(
                     writer.append(converted.header, converted.encoded, outcome["record"], pictures)
                     starts[outcome["mode"]].append(outcome["start_qpos"])
         writer.environment = _with_start(writer.environment, starts)
-        write_summary(place.dataset / PICTURE_PATH, list(outcomes(place, plan)), config.gate, converter)
+        write_summary(place.dataset / PICTURE_PATH, outcomes(place, plan), config.gate, converter)
 
 
-def _with_choices(
-    provenance: Provenance,
-    transfer: Transfer,
-    verified: dict[str, Any] | None,
-    judged: dict[str, list[int]] | None,
-) -> Provenance:
+def _with_choices(provenance: Provenance, transfer: Transfer, told: Account) -> Provenance:
     """Provenance with what was decided on the way: where trajectories start, on which pads, which episodes are dropped."""
     pads = {e.name: plain(e.end_effector.pads) for e in (transfer.source, transfer.target) if e.end_effector}
     options = provenance.options | {"basins": plain(transfer.basins)}
-    if verified is not None:
-        options["verify"] = options["verify"] | {"dropped": verified["dropped"]}
-    if judged is not None:
-        options["gate"] = judged
+    if told.verified is not None:
+        options["verify"] = options["verify"] | {"dropped": told.verified["dropped"]}
+    if told.judged is not None:
+        options["gate"] = told.judged
     return replace(provenance, pads=pads, options=options)
 
 

@@ -26,7 +26,7 @@ class ConvertConfig:
     calibration: str | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See below.
     joint_map: str | None = None  # YAML that tells which columns of a dataset are which joints. See below.
     target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
-    episodes: str | None = None  # Episodes to convert, such as 0,3,5; default: all.
+    episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
     allow_unreachable: bool = False  # Keep episodes in which the target cannot reach every frame.
     min_quality: float | None = None  # Leave out episodes whose quality, from 0 to 1, is lower.

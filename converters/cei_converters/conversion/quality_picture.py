@@ -1,6 +1,6 @@
 """Quality of a whole conversion in one picture: how scores are distributed, and where the worst episodes are worst."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ _BINS = [i / 20 for i in range(21)]
 _DPI = 100
 
 
-def write_summary(path: Path, outcomes: Sequence[dict[str, Any]], gate: Gate, converter: Converter) -> None:
+def write_summary(path: Path, outcomes: Iterable[dict[str, Any]], gate: Gate, converter: Converter) -> None:
     """Draw scores and parts of all converted episodes, dropped ones included, and the worst ones where they are worst.
 
     Args:
@@ -33,23 +33,28 @@ def write_summary(path: Path, outcomes: Sequence[dict[str, Any]], gate: Gate, co
         gate: what became of which.
         converter: that converted them.
     """
-    scores = np.array([outcome["record"]["quality"]["score"] for outcome in outcomes])
-    fates = [_fate(outcome, gate) for outcome in outcomes]
-    worst = np.argsort(scores, kind="stable")[:_WORST]
-    pictures = _portraits([outcomes[i]["worst"] for i in worst], converter)
+    measured, fates = [], []
+    worst: list[tuple[float, int, dict[str, Any]]] = []  # score, position, outcome
+    for position, outcome in enumerate(outcomes):
+        quality = outcome["record"]["quality"]
+        measured.append((quality["score"], *quality["parts"].values()))
+        fates.append(_fate(outcome, gate))
+        worst = sorted([*worst, (quality["score"], position, outcome)], key=lambda each: each[:2])[:_WORST]
+    names, values = list(worst[0][2]["record"]["quality"]["parts"]), np.array(measured)
+    pictures = _portraits([outcome["worst"] for _, _, outcome in worst], converter)
     with mpl.rc_context(mpl.rcParamsDefault):  # whatever the user's own style is
         figure = Figure(figsize=(15, 8.7), dpi=_DPI, layout="constrained")
         above, below = figure.subfigures(2, 1, height_ratios=(1, 1.9), squeeze=False)[:, 0]
         histogram, parts = above.subplots(1, 2)
-        _draw_scores(histogram, scores, fates, gate)
-        _draw_parts(parts, [outcome["record"]["quality"]["parts"] for outcome in outcomes], fates)
+        _draw_scores(histogram, values[:, 0], fates, gate)
+        _draw_parts(parts, names, values[:, 1:], fates)
         below.suptitle(
             "The worst episodes (numbered as in the source), each where it is worst; red its pads, blue the source's",
             fontsize=12,
         )
         columns = below.subplots(1, _WORST)
-        for axes, i, picture in zip(columns, worst, pictures, strict=False):
-            _draw_worst(axes, outcomes[i], fates[i], picture)
+        for axes, (_, position, outcome), picture in zip(columns, worst, pictures, strict=False):
+            _draw_worst(axes, outcome, fates[position], picture)
         for axes in columns[len(worst) :]:
             axes.set_axis_off()
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -78,14 +83,12 @@ def _draw_scores(axes: Axes, scores: np.ndarray, fates: Sequence[str], gate: Gat
     axes.legend(loc="upper center", ncols=5, fontsize=8)
 
 
-def _draw_parts(axes: Axes, parts: Sequence[dict[str, float]], fates: Sequence[str]) -> None:
-    """A dot an episode and part, spread a little in the order of the episodes."""
-    names = list(parts[0])
+def _draw_parts(axes: Axes, names: Sequence[str], parts: np.ndarray, fates: Sequence[str]) -> None:
+    """A dot an episode and part, (episodes, parts), spread a little in the order of the episodes."""
     spread = np.linspace(-0.3, 0.3, len(parts)) if len(parts) > 1 else np.zeros(1)
-    for row, name in enumerate(names):
-        axes.scatter(
-            [each[name] for each in parts], row + spread, s=12, c=[_COLOURS[fate] for fate in fates], alpha=0.7
-        )
+    colours = [_COLOURS[fate] for fate in fates]
+    for row in range(len(names)):
+        axes.scatter(parts[:, row], row + spread, s=12, c=colours, alpha=0.7)
     axes.set(xlim=(0, 1.02), yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.5, -0.5))
     axes.set(xlabel="each part of it; an episode's worst is its quality", title="What it is made of")
     axes.grid(axis="x", alpha=0.3)

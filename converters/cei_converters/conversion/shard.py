@@ -26,7 +26,7 @@ class Converted:
     """A converted episode.
 
     Attributes:
-        outcome: JSON types: `entry` (for the table; its `episode` is the index in the source), `record` (for `meta/cei.json`),
+        outcome: JSON types: `entry` (for the table; its `episode` is the index in the source), `record` (see `records`),
             `residuals`, `worst` (where its quality is lowest), `verdict` or None, `left_out` (why, or empty), `mode`, `start_qpos`.
         header: what it shares with the others.
         encoded: what is stored; None if it is left out.
@@ -98,21 +98,29 @@ class Shard:
         folder: of the shard.
 
     Raises:
-        ValueError: it is damaged, or there is none.
+        OSError: it is damaged, or there is none.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         try:
             found = json.loads((folder / _EPISODES).read_text())
-            if found["sha256"] != _sha256(folder):
-                raise ValueError(f"{folder} is damaged.")
+            self._sha256: str | None = found["sha256"]
+            self._episodes: list[dict[str, Any]] = found["episodes"]
             for feature in found["header"]["features"].values():
                 feature["shape"] = tuple(feature["shape"])
             self.header: Header = draccus.decode(Header, found["header"])
         except (OSError, KeyError, TypeError, ValueError, draccus.utils.DraccusException) as error:
-            raise ValueError(f"{folder} is no finished shard.") from error
-        self._episodes = found["episodes"]
+            raise OSError(f"{folder} is no finished shard; --resume makes it again.") from error
+
+    def check(self) -> None:
+        """Check that frames are those that were written; all of them are read.
+
+        Raises:
+            OSError: they are not.
+        """
+        if self._sha256 != _sha256(self._folder):
+            raise OSError(f"{self._folder} is damaged; --resume makes it again.")
 
     @property
     def outcomes(self) -> list[dict[str, Any]]:

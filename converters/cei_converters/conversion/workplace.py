@@ -99,8 +99,8 @@ class Workplace:
 
     def _finished(self, shard: int) -> bool:
         try:
-            Shard(self.shard(shard))
-        except ValueError:
+            Shard(self.shard(shard)).check()
+        except OSError:
             shutil.rmtree(self.shard(shard), ignore_errors=True)
             return False
         return True

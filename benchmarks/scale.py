@@ -1,0 +1,78 @@
+"""How a conversion's time and memory grow with the dataset: 100, 1,000 and 10,000 demonstrations of 105 frames.
+
+usage: python benchmarks/scale.py [--target IIWA-Inspire] [--demonstrations 100 1000 10000] [--work DIR] [--results DIR]
+
+The demonstrations are those of `transfer.py`, repeated; 10,000 of them are a million frames, and need 40 GB of disk and an hour. Each
+number is converted in a process of its own, then `--workers` of them by one worker and by two. Between two numbers, the slope:
+seconds and kilobytes that one more demonstration takes. Writes scale.json.
+"""
+
+import argparse
+import os
+import shutil
+import tempfile
+from itertools import pairwise
+from pathlib import Path
+
+from measure import save
+from tqdm import tqdm
+from transfer import FRAMES, SOURCE, convert, record
+
+from cei_converters.columns import encode
+from cei_converters.episodes import encode_episode
+from cei_converters.writer import DatasetWriter, Header
+from cei_gym.demonstration import Demonstration
+
+
+def write(root: Path, demonstrations: list[Demonstration], count: int) -> None:
+    """A dataset of repetitions, each encoded once."""
+    headers = [Header.of(d) for d in demonstrations]
+    encoded = [encode_episode(encode(d), h.features, d.task) for d, h in zip(demonstrations, headers, strict=True)]
+    with DatasetWriter("benchmark/source", root) as writer:
+        for i in tqdm(range(count), "writing the source dataset"):
+            writer.append(headers[i % len(headers)], encoded[i % len(encoded)])
+
+
+def converted(root: Path, target: str, count: int, workers: int) -> dict:
+    """A conversion, its dataset not kept."""
+    row = {"workers": workers, **convert(root, target, count, f"--workers={workers}")}
+    del row["paper_s"]
+    row["frames_a_second"] = round(count * FRAMES / row["whole_s"])
+    shutil.rmtree(root.with_name(f"converted_{count}"))
+    print("  ".join(f"{name} {value}" for name, value in row.items()), flush=True)
+    return row
+
+
+def slope(fewer: dict, more: dict) -> dict:
+    """What one more demonstration takes, between two conversions."""
+    n = more["demonstrations"] - fewer["demonstrations"]
+    return {
+        "from": fewer["demonstrations"],
+        "to": more["demonstrations"],
+        "ms_a_demonstration": round(1e3 * (more["whole_s"] - fewer["whole_s"]) / n, 1),
+        "memory_kb_a_demonstration": round(1024 * (more["peak_memory_mb"] - fewer["peak_memory_mb"]) / n, 1),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--target", default="IIWA-Inspire")
+    parser.add_argument("--demonstrations", type=int, nargs="+", default=[100, 1000, 10000])
+    parser.add_argument("--workers", type=int, default=400, help="demonstrations converted by one worker and by two")
+    parser.add_argument("--work", type=Path, help="folder for datasets; default: a temporary one")
+    parser.add_argument("--results", type=Path, default=Path("results/transfer"))
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory(dir=args.work) as folder:
+        root = Path(folder) / "source"
+        write(root, record(range(10)), max(*args.demonstrations, args.workers))
+        workers = [converted(root, args.target, args.workers, n) for n in (1, 2) if args.workers]
+        sizes = [converted(root, args.target, count, 2) for count in sorted(args.demonstrations)]
+    slopes = [slope(fewer, more) for fewer, more in pairwise(sizes)]
+    for row in slopes:
+        print("  ".join(f"{name} {value}" for name, value in row.items()))
+    result = {"source": SOURCE, "target": args.target, "frames": FRAMES, "cores": os.cpu_count()}
+    save(args.results / "scale.json", result | {"workers": workers, "conversions": sizes, "slopes": slopes})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""What became of a conversion's episodes: told on the terminal, and its result. Frame by frame it stays on disk."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cei_converters.augment import check_left, count, counted
+from cei_converters.conversion.plan import Plan
+from cei_converters.conversion.shard import Shard
+from cei_converters.conversion.workplace import Workplace
+from cei_converters.gate import LOW_QUALITY, in_words
+from cei_converters.quality import print_table
+from cei_converters.verify import Verdict, check_kept, sentence, summarise
+
+# a table of more rows is nobody's to read
+_ROWS, _WORST = 50, 20
+
+
+def outcomes(place: Workplace, plan: Plan) -> Iterator[dict[str, Any]]:
+    """What became of each episode, in order; see `Converted`."""
+    for shard in range(len(plan.shards)):
+        yield from Shard(place.shard(shard)).outcomes
+
+
+def residuals(place: Workplace, plan: Plan) -> Iterator[dict[str, Any]]:
+    """Of each episode that is kept, in order: `episode`, and how far pads are apart frame by frame."""
+    return (outcome["residuals"] for outcome in outcomes(place, plan) if not outcome["left_out"])
+
+
+@dataclass(frozen=True)
+class Account:
+    """Of all episodes.
+
+    Attributes:
+        entries: one for each that is kept.
+        verified: what replaying showed (`summarise`), if it was asked for.
+        judged: which are dropped or flagged for their quality (`Gate.judge`), if it was asked for.
+        augmented: how many were made and left out (`count`), if objects are moved.
+    """
+
+    entries: list[dict[str, Any]]
+    verified: dict[str, Any] | None = None
+    judged: dict[str, list[int]] | None = None
+    augmented: dict[str, Any] | None = None
+
+    @property
+    def choices(self) -> dict[str, Any]:
+        """Those of the last three that were asked for, by the names they have in the result."""
+        found = {"verify": self.verified, "gate": self.judged, "augment": self.augmented}
+        return {name: value for name, value in found.items() if value is not None}
+
+
+def account(place: Workplace, plan: Plan, title: str) -> Account:
+    """Print a table of the episodes' quality, and a sentence on each thing that leaves some out.
+
+    Args:
+        place: with all shards.
+        plan: of the conversion.
+        title: of the table.
+
+    Raises:
+        CEIError: no episode is kept.
+    """
+    entries, rows, verdicts, left_out, scored = [], [], [], [], []
+    for outcome in outcomes(place, plan):
+        entry, reason = outcome["entry"], outcome["left_out"]
+        left_out.append(reason)
+        if not reason:
+            entries.append(entry)
+        if reason in ("", LOW_QUALITY):
+            scored.append(entry)
+        row = entry | {"flagged": "yes" if outcome["record"].get("flagged") else None, "left_out": reason or None}
+        if outcome["verdict"] is not None:
+            verdicts.append(Verdict(**outcome["verdict"]))
+            row |= verdicts[-1].row()
+        rows.append(row)
+    _print_rows(rows, title)
+    verified = judged = augmented = None
+    if verdicts:
+        verified = summarise(verdicts)
+        print(f"Verification: {sentence(verified)}.")
+        check_kept(verified)
+    if plan.config.gate.bounds:
+        judged = plan.config.gate.judge(scored)
+        print(f"Quality: {in_words(judged)}.")
+    if plan.config.augment.enabled:
+        augmented = count(left_out)
+        print(f"Augmentation: {counted(augmented)}.")
+        check_left(augmented)
+    return Account(entries, verified, judged, augmented)
+
+
+def _print_rows(rows: list[dict[str, Any]], title: str) -> None:
+    """A row an episode, or of many episodes the worst and a row of means; no column that is empty throughout."""
+    for name in ("flagged", "left_out"):
+        if all(row[name] is None for row in rows):
+            for row in rows:
+                del row[name]
+    if len(rows) > _ROWS:
+        title += f": of {len(rows)} episodes, the {_WORST} of lowest quality, and the mean of all"
+        numbers = [name for name, value in rows[0].items() if isinstance(value, (int, float)) and name != "episode"]
+        mean = {name: float(np.mean([row[name] for row in rows])) for name in numbers}
+        rows = [*sorted(rows, key=lambda row: row["quality"])[:_WORST], {"episode": "mean", **mean}]
+    print_table(rows, title)
