@@ -5,8 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from lerobot.utils.utils import flatten_dict
 
 from cei_converters import schema
@@ -16,6 +19,7 @@ from cei_converters.metadata import Environment, Metadata, Source
 from cei_converters.provenance import collect, command_line, fingerprint
 from cei_converters.reader import DatasetReader
 from cei_converters.records import Records
+from cei_converters.rows import EPISODE, read_rows
 from cei_converters.writer import DatasetWriter
 from cei_gym.demonstration import Camera, Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
@@ -153,6 +157,27 @@ def test_second_conversion_round_trips_exactly(root: Path, tmp_path: Path) -> No
     for ours, copy in zip(reader, DatasetReader(REPO_ID, tmp_path / "copy"), strict=True):
         np.testing.assert_array_equal(ours.depth_m["side"], copy.depth_m["side"])
         np.testing.assert_array_equal(ours.qpos, copy.qpos)
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    episodes=st.lists(st.integers(0, 5), min_size=1, max_size=40),
+    group=st.integers(1, 8),
+    statistics=st.booleans(),
+    columns=st.none() | st.lists(st.sampled_from(["value", EPISODE, "absent"]), unique=True),
+)
+def test_rows_of_an_episode_are_those_that_a_filter_finds(
+    episodes: list[int], group: int, statistics: bool, columns: list[str] | None, tmp_path: Path
+) -> None:
+    path = tmp_path / f"{len(list(tmp_path.iterdir()))}.parquet"
+    table = pa.table({EPISODE: episodes, "value": range(len(episodes))})
+    pq.write_table(table, path, row_group_size=group, write_statistics=statistics)
+    for episode in range(7):
+        found = read_rows(path, episode, columns)
+        expected = pq.read_table(path, filters=[(EPISODE, "==", episode)])
+        if columns is not None:
+            expected = expected.select([name for name in columns if name in expected.column_names])
+        assert found.equals(expected)
 
 
 def test_metadata_round_trips(root: Path) -> None:

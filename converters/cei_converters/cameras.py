@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cei_converters.columns import read_columns
 from cei_converters.decoding import check_video, encoded_images
+from cei_converters.rows import read_rows
 from cei_gym.errors import CEIError, one_line
 
 
@@ -113,8 +113,8 @@ def _statistics(root: Path, meta: Any, index: int, keys: Sequence[str]) -> dict[
     try:
         chunk, file = (meta.episodes[index][f"meta/episodes/{name}_index"] for name in ("chunk", "file"))
         path = root / DEFAULT_EPISODES_PATH.format(chunk_index=chunk, file_index=file)
-        (stored,) = pq.read_table(path, filters=[("episode_index", "==", index)]).to_pylist()
-    except (OSError, KeyError, TypeError, ValueError) as error:
+        (stored,) = read_rows(path, index).to_pylist()
+    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise CEIError(f"episode {index}: {root}/meta/episodes has no statistics of it ({one_line(error)}).") from error
     found = {}
     for key in keys:

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cei_converters import schema
 from cei_converters.depth import MM_PER_M
+from cei_converters.rows import read_rows
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError, one_line
 
@@ -84,8 +84,7 @@ def read_columns(root: Path, meta: Any, index: int, keys: Sequence[str]) -> pa.T
     path = root / meta.get_data_file_path(index)
     columns = [key for key in keys if key in meta.features and key not in meta.video_keys]
     try:
-        # LeRobot writes a row group an episode, so the filter reads no other episode
-        table = pq.read_table(path, columns=columns, filters=[("episode_index", "==", index)])
+        table = read_rows(path, index, columns)
     except (OSError, ValueError, KeyError, pa.ArrowException) as error:
         raise CEIError(
             f"episode {index}: {path} cannot be read ({one_line(error)}); download or record the dataset again."

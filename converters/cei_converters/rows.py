@@ -1,0 +1,51 @@
+"""An episode's rows of a Parquet file, found by what the file says of its row groups, which is read once."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+EPISODE = "episode_index"
+
+
+def read_rows(path: Path, episode: int, columns: Sequence[str] | None = None) -> pa.Table:
+    """Rows of an episode; none if the file has none of it.
+
+    `pq.read_table` with a filter reads all that the file says of itself for each episode: 0.14 s where it has 10,000.
+
+    Args:
+        path: of the file.
+        episode: its index.
+        columns: to read; those that the file lacks are left out; default: all.
+
+    Raises:
+        OSError, pa.ArrowException: the file is missing or damaged.
+        KeyError: it does not say which rows are whose.
+    """
+    status = path.stat()
+    footer, first, last = _row_groups(path, status.st_size, status.st_mtime_ns)
+    groups = np.flatnonzero((first <= episode) & (episode <= last)).tolist()
+    wanted = None if columns is None else [*dict.fromkeys([*columns, EPISODE])]
+    with pq.ParquetFile(path, metadata=footer) as file:
+        table = file.read_row_groups(groups, columns=wanted)
+    table = table.filter(pc.field(EPISODE) == episode)
+    return table if columns is None else table.select([name for name in columns if name in table.column_names])
+
+
+@lru_cache(maxsize=2)
+def _row_groups(path: Path, _size: int, _changed_ns: int) -> tuple[pq.FileMetaData, np.ndarray, np.ndarray]:
+    """What a file says of itself, and the first and last episode of each row group."""
+    footer = pq.read_metadata(path)
+    names = [footer.schema.column(i).path for i in range(footer.num_columns)]
+    if EPISODE not in names:
+        raise KeyError(f"there is no column {EPISODE}")
+    bounds = []
+    for group in range(footer.num_row_groups):
+        found = footer.row_group(group).column(names.index(EPISODE)).statistics
+        bounds.append((found.min, found.max) if found is not None and found.has_min_max else (-np.inf, np.inf))
+    first, last = np.array(bounds, np.float64).reshape(-1, 2).T
+    return footer, first, last
