@@ -18,12 +18,19 @@ BACKENDS = ("auto", "numba", "torch", "paper")
 
 @dataclass(frozen=True)
 class PaperOptions:
-    """The paper's own optimiser: Adam on autograd gradients (section V-A)."""
+    """The paper's own optimiser: Adam on autograd gradients (section V-A).
+
+    Attributes:
+        learning_rate: of Adam.
+        steps: most steps a frame.
+        patience: steps without improvement after which a frame is done.
+        limit_weight: the paper's w2, of joints beyond their limits.
+    """
 
     learning_rate: float = 1e-2
-    steps: int = 300  # per frame
-    patience: int = 10  # steps without improvement
-    limit_weight: float = 1.0  # w2
+    steps: int = 300
+    patience: int = 10
+    limit_weight: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NoReturn
 
+from cei_converters.help import explain
 from cei_gym.errors import CEIError, unknown
 
 EXIT_OK, EXIT_ERROR, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
@@ -17,7 +18,7 @@ EXIT_OK, EXIT_ERROR, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 
 @dataclass
 class DatasetConfig:
-    """A LeRobot dataset (v3.0)."""
+    """The dataset: LeRobot's v3.0, v2.1 or v2.0; robosuite's or robomimic's HDF5; or the zarr of DP3 and DemoGen."""
 
     repo_id: str  # Name of the dataset, <user>/<name>.
     root: str | None = None  # Its folder; default: LeRobot's cache, else the hub.
@@ -94,6 +95,7 @@ def parse[Config](config_cls: type[Config], args: Sequence[str], prog: str, exam
         description=f"{summary}\n\n{example}",
         exit_on_error=False,
     )
+    explain(parser.parser, config_cls)
     try:
         return parser.parse_args(_normalised(args, options))
     except DecodingError as error:

@@ -33,13 +33,25 @@ cameras see them. The last two look at nothing."""
 
 @dataclass(frozen=True)
 class Training:
-    """How policies are trained (DP3, by `lerobot-train`); the defaults learn on a CPU."""
+    """How policies are trained (DP3, by `lerobot-train`); the defaults learn on a CPU.
 
-    size: str = "small"  # Of the UNet: paper, simple or small.
-    points: int | None = 256  # Of each cloud; default of the paper's size: all.
-    cloud_channels: tuple[int, ...] = (32, 64, 128)  # Of the PointNet; the paper's: 64,128,256.
-    random_points: bool = True  # See DP3Config; the paper has none of this and of
-    state_noise: float = 0.3  # noise, without which 50 demonstrations are learnt by heart.
+    Attributes:
+        size: of the UNet: paper, simple or small.
+        points: of each cloud; null for all, as in the paper.
+        cloud_channels: of the PointNet; the paper's are 64,128,256.
+        random_points: see others of each cloud every time, so that 50 demonstrations are not learnt by heart; the paper does not.
+        state_noise: standard deviation of what is added to joints, in the normalised unit, for the same reason; the paper's is 0.
+        steps: of training.
+        batch_size: windows a step.
+        lr: learning rate.
+        device: of torch.
+    """
+
+    size: str = "small"
+    points: int | None = 256
+    cloud_channels: tuple[int, ...] = (32, 64, 128)
+    random_points: bool = True
+    state_noise: float = 0.3
     steps: int = 7000
     batch_size: int = 64
     lr: float = 1e-3

@@ -23,8 +23,8 @@ class ConvertConfig:
     new_root: str | None = None  # Its folder, which must not exist; default: LeRobot's cache.
     source: str | None = None  # Embodiment of a dataset that does not say it (no meta/cei.json).
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
-    calibration: str | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See below.
-    joint_map: str | None = None  # YAML that tells which columns of a dataset are which joints. See below.
+    calibration: str | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See above.
+    joint_map: str | None = None  # YAML that tells which columns of a dataset are which joints. See above.
     target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
