@@ -27,9 +27,9 @@ from numba import njit
 from others import available
 
 from cei_converters.cli import DatasetConfig, quiet_libraries
-from cei_converters.provenance import git_commit, versions
-from cei_converters.reader import DatasetReader
+from cei_converters.dataset.provenance import git_commit, versions
 from cei_converters.record import RecordConfig, record
+from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import (
     AlignmentProblem,
     InitialisationOptions,

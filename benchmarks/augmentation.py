@@ -16,8 +16,8 @@ from pathlib import Path
 from measure import save
 
 from cei_converters import convert, record
-from cei_converters.reader import DatasetReader
-from cei_converters.replay import Stage
+from cei_converters.simulation.stage import Stage
+from cei_converters.sources.reader import DatasetReader
 
 SOURCE = "Panda-PandaGripper"
 WAYS = {

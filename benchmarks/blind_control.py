@@ -11,7 +11,7 @@ import numpy as np
 from measure import save
 
 import cei_gym  # noqa: F401  (registers the environments)
-from cei_converters.record import HOLD_STEPS
+from cei_converters.simulation.rollout import HOLD_STEPS
 
 ENVIRONMENT = "CEI-PickCube-Panda-PandaGripper"
 

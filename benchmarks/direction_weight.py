@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cei_converters.environment import open_environment
-from cei_converters.record import record_episode
+from cei_converters.simulation.environment import open_environment
+from cei_converters.simulation.rollout import record_episode
 from cei_gym.alignment import SolverOptions
 from cei_gym.embodiment import load_embodiment
 from cei_gym.transfer import Transfer

@@ -16,7 +16,7 @@ from measure import save
 from tqdm import tqdm
 
 import cei_gym  # noqa: F401  (registers the environments)
-from cei_converters.record import HOLD_STEPS, record_episode
+from cei_converters.simulation.rollout import HOLD_STEPS, record_episode
 from cei_gym.embodiment import load_embodiment
 from cei_gym.transfer import Transfer
 from cei_gym.wrapper import CrossEmbodimentWrapper

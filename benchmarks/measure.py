@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 from mujoco.rendering.classic import gl_context
 
-from cei_converters.provenance import PACKAGES, git_commit, versions
+from cei_converters.dataset.provenance import PACKAGES, git_commit, versions
 
 
 def milliseconds(call: Callable, repeats: int) -> dict[str, float]:

@@ -27,8 +27,8 @@ from tqdm import tqdm
 
 import cei_gym  # noqa: F401  (registers the environments)
 import lerobot_policy_dp3
-from cei_converters.record import record_episode
-from cei_converters.writer import DatasetWriter
+from cei_converters.dataset.writer import DatasetWriter
+from cei_converters.simulation.rollout import record_episode
 from cei_gym.embodiment import load_embodiment
 from cei_gym.transfer import Transfer
 from lerobot_policy_dp3.fast_reader import FastReader

@@ -25,9 +25,9 @@ from measure import save
 from tqdm import tqdm
 
 import cei_gym  # noqa: F401  (registers the environments)
-from cei_converters.reader import DatasetReader
-from cei_converters.record import record_episode
-from cei_converters.writer import DatasetWriter
+from cei_converters.dataset.writer import DatasetWriter
+from cei_converters.simulation.rollout import record_episode
+from cei_converters.sources.reader import DatasetReader
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment
 from cei_gym.transfer import Transfer

@@ -6,7 +6,7 @@ run: python examples/06_policy_on_another_robot.py
 import gymnasium as gym
 
 import cei_gym  # noqa: F401  (registers the environments)
-from cei_converters.record import record_episode
+from cei_converters.simulation.rollout import record_episode
 from cei_gym.embodiment import load_embodiment
 from cei_gym.pointcloud import CloudOptions
 from cei_gym.transfer import Transfer

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cei_converters import convert
-from cei_converters.writer import DatasetWriter
+from cei_converters.dataset.writer import DatasetWriter
 from cei_gym.demonstration import Camera, Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 

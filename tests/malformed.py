@@ -136,9 +136,9 @@ def write_dataset(root: Path) -> None:
     """Two episodes with all that a dataset may have, as LeRobot writes it, and beside it a `cameras.yaml`."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    from cei_converters import schema
-    from cei_converters.metadata import Environment, Metadata
-    from cei_converters.records import RecordWriter
+    from cei_converters.dataset import schema
+    from cei_converters.dataset.metadata import Environment, Metadata
+    from cei_converters.dataset.records import RecordWriter
     from cei_gym.demonstration import Camera, Scene
     from cei_gym.embodiment import load_embodiment
 

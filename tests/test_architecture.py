@@ -90,15 +90,30 @@ def test_torch_is_only_where_solvers_need_it() -> None:
             assert not {"cei_gym.alignment.paper", "cei_gym.kinematics.torch_chain"} & reached, path
 
 
-def test_lower_parts_of_the_method_do_not_know_the_upper_ones() -> None:
-    layers = ["errors", "embodiment", "kinematics", "functional", "alignment", "transfer"]
-    for height, layer in enumerate(layers):
-        part = PACKAGES["cei_gym"] / layer
+LAYERS = {
+    "cei_gym": ["errors", "embodiment", "kinematics", "functional", "alignment", "transfer"],
+    "cei_converters": [
+        *("dataset", "cli", "simulation", "sources", "view", "inspection", "conversion"),
+        *("pads", "record", "replay", "convert", "report", "demo", "benchmark"),
+    ],
+}
+
+
+@pytest.mark.parametrize("package", LAYERS)
+def test_lower_parts_of_a_package_do_not_know_the_upper_ones(package: str) -> None:
+    for height, layer in enumerate(LAYERS[package]):
+        part = PACKAGES[package] / layer
         paths = sorted(part.rglob("*.py")) if part.is_dir() else [part.with_suffix(".py")]
-        above = {f"cei_gym.{name}" for name in layers[height + 1 :]}
+        above = {f"{package}.{name}" for name in LAYERS[package][height + 1 :]}
+        assert paths
         for path in paths:
             reached = {".".join(name.split(".")[:2]) for name in imports(path)}
             assert not reached & above, path
+
+
+def test_every_part_of_the_converters_has_its_layer() -> None:
+    parts = {path.stem for path in PACKAGES["cei_converters"].glob("[a-z]*")}
+    assert parts == set(LAYERS["cei_converters"])
 
 
 def test_robosuite_is_imported_only_by_the_environments_package() -> None:

@@ -12,14 +12,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_resume import same
 
-from cei_converters import convert, record, replay, schema
-from cei_converters.augment import Augmentation, AugmentOptions
-from cei_converters.cameras import Pictures
+from cei_converters import convert, record, replay
 from cei_converters.conversion import shard
-from cei_converters.episodes import encode_episode
-from cei_converters.reader import DatasetReader
-from cei_converters.records import Records
-from cei_converters.writer import DatasetWriter
+from cei_converters.conversion.augment import Augmentation, AugmentOptions
+from cei_converters.dataset import schema
+from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.episodes import encode_episode
+from cei_converters.dataset.records import Records
+from cei_converters.dataset.writer import DatasetWriter
+from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import InitialisationOptions
 from cei_gym.augmentation import (
     Handling,

@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from cei_converters.options import parse_episodes
-from cei_converters.schema import parse_joint_feature_name
-from cei_converters.writer import DatasetWriter
+from cei_converters.cli.options import parse_episodes
+from cei_converters.dataset.schema import parse_joint_feature_name
+from cei_converters.dataset.writer import DatasetWriter
 from cei_gym.demonstration import Camera, Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
@@ -118,7 +118,7 @@ def test_options_are_checked_before_any_work(option: dict, message: str, refuse:
 
 
 def test_a_good_dataset_converts(main: Callable, root: Path, tmp_path: Path, capsys: Any) -> None:
-    from cei_converters.reader import DatasetReader
+    from cei_converters.sources.reader import DatasetReader
 
     out = tmp_path / "sub" / "out"
     args = [

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
-from cei_converters import convert, schema
-from cei_converters.calibration import FORMAT, load_calibration
-from cei_converters.reader import DatasetReader
-from cei_converters.records import Records
+from cei_converters import convert
+from cei_converters.dataset import schema
+from cei_converters.dataset.records import Records
+from cei_converters.sources.calibration import FORMAT, load_calibration
+from cei_converters.sources.reader import DatasetReader
 from cei_gym.demonstration import Camera, Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError

@@ -12,15 +12,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lerobot.utils.utils import flatten_dict
 
-from cei_converters import schema
-from cei_converters.card import source_license
-from cei_converters.columns import encode
-from cei_converters.metadata import Environment, Metadata, Source
-from cei_converters.provenance import collect, command_line, fingerprint
-from cei_converters.reader import DatasetReader
-from cei_converters.records import Records
-from cei_converters.rows import EPISODE, read_rows
-from cei_converters.writer import DatasetWriter
+from cei_converters.dataset import schema
+from cei_converters.dataset.card import source_license
+from cei_converters.dataset.columns import encode
+from cei_converters.dataset.metadata import Environment, Metadata, Source
+from cei_converters.dataset.provenance import collect, command_line, fingerprint
+from cei_converters.dataset.records import Records
+from cei_converters.dataset.rows import EPISODE, read_rows
+from cei_converters.dataset.writer import DatasetWriter
+from cei_converters.sources.reader import DatasetReader
 from cei_gym.demonstration import Camera, Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError

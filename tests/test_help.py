@@ -4,12 +4,13 @@ import re
 
 import pytest
 
-from cei_converters import convert, inspecting, pads, record, replay, view
+from cei_converters import convert, pads, record, replay, view
 from cei_converters.benchmark import command
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types
 from cei_converters.conversion.config import ConvertConfig
+from cei_converters.inspection import command as inspecting
 from cei_converters.view.command import ViewConfig
 
 COMMANDS = {

@@ -16,9 +16,9 @@ import yaml
 from hub_server import TOKEN, Hub, Refused, Repository
 
 from cei_converters import convert
-from cei_converters.card import LICENSE, source_license, write_card
-from cei_converters.hub import push
-from cei_converters.metadata import Metadata
+from cei_converters.dataset.card import LICENSE, source_license, write_card
+from cei_converters.dataset.hub import push
+from cei_converters.dataset.metadata import Metadata
 from cei_gym.errors import CEIError
 
 NAME = "me/out"

@@ -11,10 +11,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cei_converters.inspecting import main as inspect
-from cei_converters.joint_map import JointMap, bind, load_joint_map
-from cei_converters.sources import open_source
-from cei_converters.writer import DatasetWriter
+from cei_converters.dataset.writer import DatasetWriter
+from cei_converters.inspection.command import main as inspect
+from cei_converters.sources.formats import open_source
+from cei_converters.sources.joint_map import JointMap, bind, load_joint_map
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError

@@ -15,7 +15,7 @@ from lerobot.processor.converters import policy_action_to_transition, transition
 from lerobot.scripts.lerobot_eval import eval_policy
 from lerobot.utils.constants import ACTION
 
-from cei_converters.record import record_episode
+from cei_converters.simulation.rollout import record_episode
 from cei_envs.rollout import NEW_ROLLOUT, OneEpisode, make_rollout_env
 from cei_gym.errors import CEIError
 from cei_gym.pointcloud import CloudOptions

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from cei_converters import convert, pads, record, replay
-from cei_converters.environment import open_environment
-from cei_converters.metadata import Metadata
-from cei_converters.reader import DatasetReader
-from cei_converters.records import Records
+from cei_converters.dataset.metadata import Metadata
+from cei_converters.dataset.records import Records
+from cei_converters.simulation.environment import open_environment
+from cei_converters.sources.reader import DatasetReader
 from cei_envs.rollout import NEW_ROLLOUT
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError

@@ -15,8 +15,8 @@ import pytest
 from malformed import CARD, LAUGHS, Case, corpus, write_dataset, write_hand
 
 from cei_converters import cli, convert, pads, replay
-from cei_converters.card import source_license
-from cei_converters.reader import DatasetReader
+from cei_converters.dataset.card import source_license
+from cei_converters.sources.reader import DatasetReader
 
 CASES = corpus(seed=0)
 TIMEOUT_S = 240  # a hang, on however busy a machine

@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from cei_converters import convert
-from cei_converters.gate import Gate
-from cei_converters.reader import DatasetReader
-from cei_converters.records import Records
+from cei_converters.conversion.gate import Gate
+from cei_converters.dataset.records import Records
+from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import AlignmentProblem, AlignmentReport, Clearance, Track, assess, make_report
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError

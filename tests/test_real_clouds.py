@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cei_converters import convert, record, replay
-from cei_converters.reader import DatasetReader
+from cei_converters.sources.reader import DatasetReader
 from cei_envs.environment import CEIEnv
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment

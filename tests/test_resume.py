@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from cei_converters import convert
-from cei_converters.provenance import fingerprint
+from cei_converters.dataset.provenance import fingerprint
 
 KILLS = 30
 

@@ -13,8 +13,8 @@ import pytest
 import yaml
 import zarr
 
-from cei_converters.joint_map import load_joint_map
-from cei_converters.sources import open_source
+from cei_converters.sources.formats import open_source
+from cei_converters.sources.joint_map import load_joint_map
 from cei_gym.embodiment import load_embodiment
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError
@@ -184,7 +184,7 @@ def test_the_eggs_joint_map_is_the_one_that_puts_the_robot_where_its_points_are(
     def share(pose) -> float:
         """Of the points of the hand, those within 1 cm of the robot."""
         path = tmp_path / "map.yaml"
-        from cei_converters.metadata import plain
+        from cei_converters.dataset.metadata import plain
 
         path.write_text(yaml.safe_dump(plain(replace(mapped, pose=pose))))
         demonstration = open_source("demogen/egg", EGG, joint_map=path).read(0)
@@ -211,7 +211,7 @@ def v21(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from cei_converters.schema import joint_feature_names
+    from cei_converters.dataset.schema import joint_feature_names
 
     root = tmp_path_factory.mktemp("old") / "pick"
     (root / "meta").mkdir(parents=True)
@@ -270,7 +270,7 @@ def test_older_formats_are_read_as_they_are_and_left_alone(
 ) -> None:
     from lerobot.utils import constants
 
-    from cei_converters.provenance import fingerprint
+    from cei_converters.dataset.provenance import fingerprint
 
     monkeypatch.setattr(constants, "HF_LEROBOT_HOME", tmp_path)
     before = fingerprint(v21)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 import cei_gym  # noqa: F401  (registers the environments)
 from cei_converters import record, replay
-from cei_converters.reader import DatasetReader
+from cei_converters.sources.reader import DatasetReader
 from cei_envs import teleoperation
 from cei_envs.environment import CEIEnv
 from cei_envs.experts.plan import grip_pose

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cei_converters import convert, record, replay, verify
-from cei_converters.reader import DatasetReader
-from cei_converters.records import Records
-from cei_converters.replay import Stage
-from cei_converters.verify import Verifier, VerifyOptions
+from cei_converters import convert, record, replay
+from cei_converters.conversion import verify
+from cei_converters.conversion.verify import Verifier, VerifyOptions
+from cei_converters.dataset.records import Records
+from cei_converters.simulation.stage import Stage
+from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import InitialisationOptions
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment

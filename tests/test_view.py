@@ -13,12 +13,12 @@ from PIL import Image
 
 from cei_converters import convert, record
 from cei_converters import view as cei_view
-from cei_converters.reader import DatasetReader
-from cei_converters.records import RECORDS_PATH, Records
+from cei_converters.dataset.records import RECORDS_PATH, Records
+from cei_converters.dataset.writer import DatasetWriter
+from cei_converters.sources.reader import DatasetReader
 from cei_converters.view.episode import NORMAL_M, View, load_view
 from cei_converters.view.recording import save
 from cei_converters.view.sheet import write_sheet
-from cei_converters.writer import DatasetWriter
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.rendering import look_at, project, splat

@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cei_converters import calibration, joint_map, pose
 from cei_converters.cli import run
 from cei_converters.conversion.config import ConvertConfig, check_options
-from cei_converters.quality import check_reached
+from cei_converters.conversion.reach import check_reached
+from cei_converters.sources import calibration, joint_map, pose
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.plan import Plan
     from cei_converters.conversion.workplace import Workplace
-    from cei_converters.metadata import Provenance
-    from cei_converters.source import Source as Recorded
+    from cei_converters.dataset.metadata import Provenance
+    from cei_converters.sources.source import Source as Recorded
 
 EXAMPLE = """example:
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa
@@ -48,14 +48,14 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     """
     check_options(config)
 
+    from cei_converters.cli.progress import progress_bar
+    from cei_converters.cli.result import check_json_path, write_json
     from cei_converters.conversion.assemble import assemble
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.executors import warm_up
     from cei_converters.conversion.outcomes import account, residuals
     from cei_converters.conversion.workers import convert_shards, processes_for
     from cei_converters.conversion.workplace import Workplace
-    from cei_converters.progress import progress_bar
-    from cei_converters.result import check_json_path, write_json
 
     check_json_path(config.json)
     if config.resume and (root := _new_root(config)).exists():
@@ -117,7 +117,7 @@ def _finished(config: ConvertConfig, root: Path) -> dict[str, Any]:
         CEIError: it is of another robot.
     """
     from cei_converters.conversion.workplace import tidy
-    from cei_converters.metadata import Metadata
+    from cei_converters.dataset.metadata import Metadata
 
     if Metadata.load(root).embodiment != config.target:
         raise CEIError(f"{root} already exists and is no dataset of {config.target}; choose another folder.")
@@ -167,7 +167,7 @@ def _upload(config: ConvertConfig, root: Path) -> None:
     Raises:
         CEIError: it could not be uploaded.
     """
-    from cei_converters.hub import push
+    from cei_converters.dataset.hub import push
 
     if config.push_to_hub:
         to = {"private": config.private, "branch": config.branch, "pull_request": config.pull_request}
@@ -194,7 +194,7 @@ class _Rest:
 
 
 def _new_root(config: ConvertConfig) -> Path:
-    from cei_converters.writer import default_root
+    from cei_converters.dataset.writer import default_root
 
     return Path(config.new_root) if config.new_root is not None else default_root(str(config.new_repo_id))
 
@@ -215,10 +215,10 @@ def _about_cameras(reader: "Recorded", pass_through: bool) -> str:
 
 
 def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
-    from cei_converters.card import source_license
-    from cei_converters.joint_map import load_joint_map
-    from cei_converters.metadata import Source
-    from cei_converters.provenance import collect, fingerprint
+    from cei_converters.dataset.card import source_license
+    from cei_converters.dataset.metadata import Source
+    from cei_converters.dataset.provenance import collect, fingerprint
+    from cei_converters.sources.joint_map import load_joint_map
 
     source = Source(
         repo_id=reader.repo_id,

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from cei_converters.cli import DatasetConfig, quiet_libraries
 from cei_converters.convert import ConvertConfig, convert
-from cei_converters.reader import DatasetReader
 from cei_converters.record import RecordConfig, record
 from cei_converters.replay import ReplayConfig, SourceConfig, replay
 from cei_converters.report import write_report
+from cei_converters.sources.reader import DatasetReader
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment
 

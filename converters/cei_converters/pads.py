@@ -32,7 +32,7 @@ def draw(config: PadsConfig) -> None:
     """
     from PIL import Image
 
-    from cei_converters.result import check_json_path, write_json
+    from cei_converters.cli.result import check_json_path, write_json
     from cei_gym.embodiment import EndEffectorSpec, build_embodiment, load_end_effector, load_spec
     from cei_gym.functional.picture import draw_representation
     from cei_gym.functional.representation import sample_representation

@@ -6,17 +6,14 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from cei_converters.cli import run
+from cei_converters.simulation.rollout import as_demonstration, record_episode, roll_out
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError
 
 EXAMPLE = """example:
   cei-record --env=CEI-PickCube-Panda-PandaGripper --episodes=20 --seed=1000 \\
       --repo_id=me/pick_panda --root=data/pick_panda"""
-HOLD_STEPS = 20
-"""Steps that the last target is held for a success to show."""
 BY_HAND = """An episode starts with your first motion and ends with success; time stands still until you move.
 To start it over: q, or the space mouse's right button. To finish early: Ctrl-C here, which keeps finished episodes."""
 
@@ -50,13 +47,13 @@ def record(config: RecordConfig) -> dict[str, Any]:
         CEIError: bad options, no expert, an expert that failed, or nothing to record by hand with.
         KeyboardInterrupt: Ctrl-C before the first demonstration was finished.
     """
-    from cei_converters.environment import open_environment
-    from cei_converters.hub import check_login, check_repo_id, push
-    from cei_converters.metadata import Environment
-    from cei_converters.progress import progress_bar
-    from cei_converters.provenance import collect
-    from cei_converters.result import check_json_path, write_json
-    from cei_converters.writer import DatasetWriter
+    from cei_converters.cli.progress import progress_bar
+    from cei_converters.cli.result import check_json_path, write_json
+    from cei_converters.dataset.hub import check_login, check_repo_id, push
+    from cei_converters.dataset.metadata import Environment
+    from cei_converters.dataset.provenance import collect
+    from cei_converters.dataset.writer import DatasetWriter
+    from cei_converters.simulation.environment import open_environment
 
     if config.episodes < 1:
         raise CEIError(f"--episodes={config.episodes}: record at least 1.")
@@ -139,69 +136,6 @@ def by_hand(env, seeds: Iterable[int], teleoperator, device: str) -> Iterator[Ep
                 return
             print(f"Seed {seed}: {info['failure']}; discarded. The same start again.")
         yield seed, as_demonstration(env, frames, index), info, {"teleop": device}
-
-
-def record_episode(
-    env, seed: int, index: int, variation: float = 1.0
-) -> tuple[Demonstration, dict[str, Any], dict[str, Any]]:
-    """One demonstration of the expert: the episode, its last `info`, and how the expert varied.
-
-    Raises:
-        CEIError: the environment has no expert.
-    """
-    expert = env.unwrapped.expert(seed, variation)
-
-    def policy(observation: dict[str, np.ndarray]) -> Iterable[np.ndarray]:
-        targets = expert.plan(observation["agent_pos"], observation["environment_state"]).astype(np.float32)
-        return [*targets, *[targets[-1]] * HOLD_STEPS]
-
-    frames, info = roll_out(env, seed, policy)
-    return as_demonstration(env, frames, index), info, expert.describe()
-
-
-def roll_out(
-    env, seed: int, policy: Callable[[dict[str, np.ndarray]], Iterable[np.ndarray]]
-) -> tuple[dict[str, list], dict[str, Any]]:
-    """One episode, which ends with success, at the time limit, or with the actions.
-
-    Args:
-        policy: the first observation to actions (n,), absolute joint targets, rad or m.
-
-    Returns:
-        What was seen and done at each step, and the last `info`.
-    """
-    observation, info = env.reset(seed=seed)
-    frames: dict[str, list] = {"qpos": [], "action": [], "cloud": [], "state": [], "depth": [], "rgb": []}
-    for action in policy(observation):
-        frames["qpos"].append(observation["agent_pos"])
-        frames["action"].append(action)
-        frames["cloud"].append(observation["point_cloud"])
-        frames["state"].append(observation["environment_state"])
-        frames["depth"].append(env.unwrapped.depth_m())
-        frames["rgb"].append(env.unwrapped.rgb())
-        observation, _, terminated, truncated, info = env.step(action)
-        if terminated or truncated:
-            break
-    return frames, info
-
-
-def as_demonstration(env, frames: dict[str, list], index: int) -> Demonstration:
-    """The frames of `roll_out` in this environment, at least one, as episode `index` of a dataset."""
-    inner = env.unwrapped
-    return Demonstration(
-        embodiment=inner.embodiment.name,
-        fps=env.metadata["render_fps"],
-        qpos=np.array(frames["qpos"], float),
-        action=np.array(frames["action"], float),
-        scene=inner.scene,
-        task=inner.task_text,
-        depth_m={name: np.stack([images[name] for images in frames["depth"]]) for name in frames["depth"][0]},
-        rgb={name: np.stack([images[name] for images in frames["rgb"]]) for name in frames["rgb"][0]},
-        point_cloud_world=np.stack(frames["cloud"]),
-        environment_state=np.array(frames["state"]),
-        environment_state_names=inner.state_names,
-        index=index,
-    )
 
 
 @contextlib.contextmanager

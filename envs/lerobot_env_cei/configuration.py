@@ -12,9 +12,9 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE, OBS_STR
 
-from cei_converters.environment import check_arguments
-from cei_converters.locate import locate_metadata
-from cei_converters.metadata import Metadata
+from cei_converters.dataset.locate import locate_metadata
+from cei_converters.dataset.metadata import Metadata
+from cei_converters.simulation.environment import check_arguments
 from cei_envs import environment_id, environment_ids
 from cei_envs.environment import CLOUD_POINTS, CEIEnv
 from cei_envs.registration import TASKS

@@ -3,7 +3,7 @@
 import sys
 
 from cei_converters.benchmark import policy, replay
-from cei_converters.cli import EXIT_OK, EXIT_USAGE
+from cei_converters.cli.command_line import EXIT_OK, EXIT_USAGE
 from cei_gym.errors import unknown
 
 BENCHMARKS = {

@@ -9,10 +9,10 @@ from typing import Any
 from cei_converters.benchmark.cells import SOURCE, VARIANTS, Cell
 from cei_converters.cli import DatasetConfig, parse
 from cei_converters.convert import ConvertConfig, convert
-from cei_converters.metadata import METADATA_PATH, Metadata
-from cei_converters.provenance import git_commit
+from cei_converters.dataset.metadata import METADATA_PATH, Metadata
+from cei_converters.dataset.provenance import git_commit
+from cei_converters.dataset.records import Records
 from cei_converters.record import RecordConfig, record
-from cei_converters.records import Records
 from cei_converters.replay import ReplayConfig, replay
 from cei_converters.report import physics_exceptions
 from cei_gym.embodiment import load_embodiment

@@ -12,7 +12,7 @@ from cei_converters.benchmark import paper
 from cei_converters.benchmark.policy_stages import BLIND, VARIANTS, PolicyCell, Stages, Training, Trials
 from cei_converters.benchmark.results import read_cell
 from cei_converters.cli import run
-from cei_converters.result import write_json
+from cei_converters.cli.result import write_json
 from cei_gym.errors import CEIError, one_line, unknown
 
 EXAMPLE = """example:
@@ -97,8 +97,8 @@ def _names(kind: str, text: str | None, valid: tuple[str, ...]) -> list[str]:
 
 def _run(cells: list[PolicyCell], stages: Stages, config: PolicyBenchmarkConfig) -> list[str]:
     """Run cells and keep their results; returns what went wrong, one line each."""
-    from cei_converters.progress import progress_bar
-    from cei_converters.provenance import PACKAGES, git_commit, versions
+    from cei_converters.cli.progress import progress_bar
+    from cei_converters.dataset.provenance import PACKAGES, git_commit, versions
 
     made_by = {"commit": git_commit(), "versions": versions((*PACKAGES, "lerobot_policy_dp3"))}
     workers = config.jobs or (1 if config.training.device != "cpu" else os.cpu_count() or 1)

@@ -12,7 +12,7 @@ from typing import Any
 from cei_converters.benchmark.cells import SOURCE, Cell, select
 from cei_converters.benchmark.results import Results
 from cei_converters.cli import run
-from cei_converters.quality import PIPE_WIDTH
+from cei_converters.cli.table import PIPE_WIDTH
 from cei_gym.errors import CEIError
 
 EXAMPLE = """example:
@@ -65,8 +65,8 @@ def _run(cells: list[Cell], results: Results, config: ReplayBenchmarkConfig) -> 
     """Run cells and keep their results; returns what went wrong, one line each."""
     from cei_converters.benchmark.jobs import record_source, run_cell
     from cei_converters.benchmark.runner import Job, run_jobs
-    from cei_converters.progress import progress_bar
-    from cei_converters.provenance import PACKAGES, git_commit, versions
+    from cei_converters.cli.progress import progress_bar
+    from cei_converters.dataset.provenance import PACKAGES, git_commit, versions
 
     folder = Path(config.work) / f"{config.seed}-{config.episodes}"
     jobs = []

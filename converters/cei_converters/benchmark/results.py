@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cei_converters.benchmark.cells import VARIANTS, Cell, all_cells
-from cei_converters.result import write_json
+from cei_converters.cli.result import write_json
 from cei_gym.errors import CEIError, one_line
 
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from cei_converters.cameras import Pictures
 from cei_converters.conversion.converter import Converter
 from cei_converters.conversion.outcomes import Account, outcomes
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.quality_picture import write_summary
 from cei_converters.conversion.shard import Shard
 from cei_converters.conversion.workplace import Workplace
-from cei_converters.metadata import PICTURE_PATH, Environment, Provenance, plain
-from cei_converters.writer import DatasetWriter
+from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.metadata import PICTURE_PATH, Environment, Provenance, plain
+from cei_converters.dataset.writer import DatasetWriter
 from cei_gym.transfer import Transfer
 
 

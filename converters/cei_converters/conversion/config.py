@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass, field
 
-from cei_converters.augment import AugmentOptions
 from cei_converters.cli import DatasetConfig
+from cei_converters.conversion.augment import AugmentOptions
 from cei_converters.conversion.executors import SlurmOptions, check_executor
-from cei_converters.gate import Gate
-from cei_converters.verify import VerifyOptions
+from cei_converters.conversion.gate import Gate
+from cei_converters.conversion.verify import VerifyOptions
 from cei_gym.alignment import ContactOptions, InitialisationOptions, SolverOptions
 from cei_gym.errors import CEIError, unknown
 from cei_gym.pointcloud import CloudOptions
@@ -79,11 +79,11 @@ def check_options(config: ConvertConfig) -> None:
             "--clouds.swap=false keeps the source in the clouds, which --augment.grid cannot move; leave one out."
         )
     if not config.dry_run:
-        from cei_converters.hub import check_repo_id
+        from cei_converters.dataset.hub import check_repo_id
 
         if config.new_repo_id is None:
             raise CEIError("--new_repo_id=<user>/<name> is required, or --dry_run.")
         check_repo_id(config.new_repo_id)
-    from cei_converters.hub import check_destination
+    from cei_converters.dataset.hub import check_destination
 
     check_destination(config.push_to_hub, config.branch, config.pull_request)

@@ -6,21 +6,21 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from cei_converters import calibration
-from cei_converters.augment import Augmentation
-from cei_converters.columns import encode
+from cei_converters.cli.options import parse_episodes, parse_pose
+from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.config import ConvertConfig
+from cei_converters.conversion.gate import DROPPED, FLAGGED, LOW_QUALITY
+from cei_converters.conversion.in_order import in_order
+from cei_converters.conversion.reach import check_reached
 from cei_converters.conversion.shard import Converted
-from cei_converters.episodes import encode_episode
-from cei_converters.gate import DROPPED, FLAGGED, LOW_QUALITY
-from cei_converters.metadata import Environment, plain
-from cei_converters.options import parse_episodes, parse_pose
-from cei_converters.quality import check_reached
-from cei_converters.source import Source
-from cei_converters.sources import open_source
-from cei_converters.verify import Verdict, Verifier, open_stage
-from cei_converters.workers import in_order
-from cei_converters.writer import Header
+from cei_converters.conversion.verify import Verdict, Verifier, open_stage
+from cei_converters.dataset.columns import encode
+from cei_converters.dataset.episodes import encode_episode
+from cei_converters.dataset.metadata import Environment, plain
+from cei_converters.dataset.writer import Header
+from cei_converters.sources import calibration
+from cei_converters.sources.formats import open_source
+from cei_converters.sources.source import Source
 from cei_gym.alignment import assess
 from cei_gym.augmentation import Offset
 from cei_gym.demonstration import Demonstration

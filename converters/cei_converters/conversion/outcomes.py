@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from cei_converters.augment import check_left, count, counted
+from cei_converters.cli.table import print_table
+from cei_converters.conversion.augment import check_left, count, counted
+from cei_converters.conversion.gate import LOW_QUALITY, in_words
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.shard import Shard
+from cei_converters.conversion.verify import Verdict, check_kept, sentence, summarise
 from cei_converters.conversion.workplace import Workplace
-from cei_converters.gate import LOW_QUALITY, in_words
-from cei_converters.quality import print_table
-from cei_converters.verify import Verdict, check_kept, sentence, summarise
 
 # a table of more rows is nobody's to read
 _ROWS, _WORST = 50, 20

@@ -9,7 +9,7 @@ import draccus
 from draccus.utils import DraccusException
 
 from cei_converters.conversion.config import ConvertConfig
-from cei_converters.metadata import Provenance, plain
+from cei_converters.dataset.metadata import Provenance, plain
 from cei_gym.alignment import Basin
 from cei_gym.errors import CEIError
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cei_converters.conversion.converter import Converter
-from cei_converters.gate import DROPPED, FLAGGED, KEPT, Gate
+from cei_converters.conversion.gate import DROPPED, FLAGGED, KEPT, Gate
 from cei_converters.view.episode import Side, View, make_side
 from cei_converters.view.sheet import draw_moments
 from cei_gym.demonstration import Demonstration

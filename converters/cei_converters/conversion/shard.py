@@ -14,9 +14,9 @@ import draccus
 import numpy as np
 import pyarrow as pa
 
-from cei_converters.episodes import EncodedEpisode
-from cei_converters.metadata import plain
-from cei_converters.writer import Header
+from cei_converters.dataset.episodes import EncodedEpisode
+from cei_converters.dataset.metadata import plain
+from cei_converters.dataset.writer import Header
 
 _FRAMES, _EPISODES, _PROGRESS = "frames.arrow", "episodes.json", "progress"
 

@@ -36,8 +36,8 @@ def view(config: ViewConfig) -> dict[str, Any]:
     Raises:
         CEIError: bad options or data, a file that exists, or a viewer without a display.
     """
-    from cei_converters.result import check_json_path, check_new, write_json
-    from cei_converters.sources import open_source
+    from cei_converters.cli.result import check_json_path, check_new, write_json
+    from cei_converters.sources.formats import open_source
     from cei_converters.view.episode import load_view
 
     check_json_path(config.json)

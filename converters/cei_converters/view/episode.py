@@ -14,7 +14,7 @@ from cei_gym.kinematics import KinematicTree
 from cei_gym.transfer import TransferOptions
 
 if TYPE_CHECKING:
-    from cei_converters.source import Source
+    from cei_converters.sources.source import Source
 
 RESIDUALS = {"pad_distance_mm": "mean pad distance (mm)", "normal_angle_deg": "mean angle between normals (deg)"}
 NORMAL_M = 0.015

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from trimesh.visual import ColorVisuals
 
-from cei_converters import schema
-from cei_converters.result import whole
+from cei_converters.cli.result import whole
+from cei_converters.dataset import schema
 from cei_converters.view.episode import NORMAL_M, RESIDUALS, Side, View
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError

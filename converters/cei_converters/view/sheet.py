@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from cei_converters.result import whole
+from cei_converters.cli.result import whole
 from cei_converters.view.episode import NORMAL_M, RESIDUALS, Side, View
 from cei_gym.demonstration import Camera
 from cei_gym.rendering import Portrait, look_at, splat

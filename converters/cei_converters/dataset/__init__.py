@@ -1,0 +1,1 @@
+"""A LeRobot dataset on disk, ours or anybody's: its files, columns, pictures and metadata."""

@@ -1,0 +1,129 @@
+"""RGB cameras of a dataset that is converted: their pictures pass through untouched, as they show the source robot."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from cei_converters.dataset.columns import read_columns
+from cei_converters.dataset.decoding import check_video, encoded_images
+from cei_converters.dataset.rows import read_rows
+from cei_gym.errors import CEIError, one_line
+
+
+@dataclass(frozen=True)
+class Clip:
+    """An episode's part of a video file.
+
+    Attributes:
+        path: the file.
+        start_s, end_s: where in it.
+        frames: (T,) which of the episode's frames are wanted; None for all, each once.
+    """
+
+    path: Path
+    start_s: float
+    end_s: float
+    frames: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """What RGB cameras saw of one episode, as it is stored.
+
+    Attributes:
+        images: feature key to (T,) cells of encoded images (`bytes`, `path`).
+        clips: feature key to the episode's part of a video.
+        statistics: feature key to LeRobot's statistics of the episode, which repeating frames is not held to change.
+    """
+
+    images: Mapping[str, pa.Array] = field(default_factory=dict)
+    clips: Mapping[str, Clip] = field(default_factory=dict)
+    statistics: Mapping[str, dict[str, np.ndarray]] = field(default_factory=dict)
+
+    def at(self, frames: np.ndarray | None) -> "Pictures":
+        """The pictures with their frames at these indices, in this order; None changes nothing."""
+        if frames is None:
+            return self
+        return replace(
+            self,
+            images={key: cells.take(pa.array(frames)) for key, cells in self.images.items()},
+            clips={key: replace(clip, frames=frames) for key, clip in self.clips.items()},
+        )
+
+
+def read_pictures(root: Path, meta: Any, index: int, keys: Sequence[str]) -> Pictures:
+    """What an episode's cameras saw.
+
+    Args:
+        root: the dataset's folder.
+        meta: its metadata, a `LeRobotDatasetMetadata`.
+        index: the episode.
+        keys: the cameras' features.
+
+    Raises:
+        CEIError: a picture, a video or statistics are missing.
+    """
+    if not keys:
+        return Pictures()
+    images = [key for key in keys if key in meta.image_keys]
+    table = read_columns(root, meta, index, images)
+    cells = {key: table[key].combine_chunks() for key in images}
+    for key in images:
+        if not all(encoded_images(cells[key], f"episode {index}, {key}")):
+            raise CEIError(f"episode {index}, {key}: a picture is missing; download or record the dataset again.")
+    clips = {key: find_clip(root, meta, index, key) for key in keys if key in meta.video_keys}
+    return Pictures(cells, clips, _statistics(root, meta, index, keys))
+
+
+def find_clip(root: Path, meta: Any, index: int, key: str) -> Clip:
+    """The part of a video that is an episode's.
+
+    Raises:
+        CEIError: the file is missing, damaged or not the dataset's, or nothing says which it is.
+    """
+    try:
+        path = meta.get_video_file_path(index, key)
+        start_s, end_s = (float(meta.episodes[index][f"videos/{key}/{end}_timestamp"]) for end in ("from", "to"))
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        raise CEIError(f"episode {index}: {root.name}/meta does not say where the video of {key} is.") from error
+    if path.is_absolute() or ".." in path.parts:
+        raise CEIError(f"{root.name}: video_path {meta.video_path!r} leads out of the dataset.")
+    try:
+        there = (root / path).is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        there = False
+    if not there:
+        raise CEIError(f"episode {index}: {root / path} is missing; download the dataset with its videos.")
+    length_s = check_video(root / path)
+    if not 0 <= start_s < end_s <= length_s + 1 / meta.fps:
+        raise CEIError(
+            f"episode {index}: {key} should be from {start_s:g} to {end_s:g} s of {root / path}, which is {length_s:g} s long."
+        )
+    return Clip(root / path, start_s, end_s)
+
+
+def _statistics(root: Path, meta: Any, index: int, keys: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
+    """LeRobot's statistics of features in an episode, or in the dataset where episodes have none."""
+    from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
+
+    try:
+        chunk, file = (meta.episodes[index][f"meta/episodes/{name}_index"] for name in ("chunk", "file"))
+        path = root / DEFAULT_EPISODES_PATH.format(chunk_index=chunk, file_index=file)
+        (stored,) = read_rows(path, index).to_pylist()
+    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+        raise CEIError(f"episode {index}: {root}/meta/episodes has no statistics of it ({one_line(error)}).") from error
+    found = {}
+    for key in keys:
+        prefix = f"stats/{key}/"
+        own = {name.removeprefix(prefix): np.array(stored[name]) for name in stored if name.startswith(prefix)}
+        found[key] = own or (meta.stats or {}).get(key)
+        if not found[key]:
+            raise CEIError(
+                f"{key} has no statistics, without which nothing can be trained on it; "
+                "compute them with: lerobot-edit-dataset --operation.type=recompute_stats."
+            )
+    return found

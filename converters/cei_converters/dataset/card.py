@@ -1,0 +1,284 @@
+"""The dataset card: README.md of a recorded or converted dataset."""
+
+import json
+from array import array
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cei_converters.dataset import schema
+from cei_converters.dataset.metadata import METADATA_PATH, PICTURE_PATH, Metadata, Source
+from cei_converters.dataset.records import RECORDS_PATH, Record, Records
+from cei_gym.untrusted import load_yaml
+
+CARD_PATH = "README.md"
+PARTS = (
+    "An episode's quality, from 0 to 1, is that of its worst part: `residual` (how far pads are from the source's), `limits` "
+    "(frames with a joint of the arm at a limit), `jumps` (joints faster than they can be), `clearance` (how deep the robot is in "
+    "itself, table or objects) and `reach` (frames out of reach)."
+)
+CITATION = """@article{wu2026cei,
+  title   = {{CEI}: A Unified Interface for Cross-Embodiment Visuomotor Policy Learning in {3D} Space},
+  author  = {Wu, Tong and Li, Shoujie and Gong, Junhao and Guo, Changqing and Li, Xingting and Mu, Shilong
+             and Ding, Wenbo},
+  year    = {2026}
+}"""
+
+
+LICENSE = ("license", "license_name", "license_link")
+
+
+def source_license(root: Path) -> dict[str, Any]:
+    """What a dataset's own card says of its license, by the names in LICENSE; empty if it says nothing."""
+    path = root / CARD_PATH
+    if not path.is_file():
+        return {}
+    try:
+        _, head, _ = path.read_text().split("---\n", 2)
+        data = load_yaml(head)
+    except ValueError:  # CEIError, too: a broken card is the source's affair
+        return {}
+    return {name: data[name] for name in LICENSE if name in data} if isinstance(data, dict) else {}
+
+
+def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
+    """Write README.md into a finished dataset."""
+    from huggingface_hub import DatasetCard, DatasetCardData
+
+    info, records = json.loads((root / "meta/info.json").read_text()), Records(root)
+    source = metadata.provenance.source
+    data = DatasetCardData(
+        **{name: getattr(source, name) for name in LICENSE if source is not None},
+        tags=["LeRobot", "cei-gym", "cross-embodiment", metadata.embodiment],
+        task_categories=["robotics"],
+        source_datasets=[source.repo_id] if source else None,
+        configs=[{"config_name": "default", "data_files": "data/*/*.parquet"}],
+    )
+    sections = [
+        _introduction(repo_id, metadata, info),
+        _quality(root, metadata, records),
+        _augmented(records),
+        _verified(metadata, records),
+        _cameras(metadata, info, records),
+        _layout(metadata, info),
+        _usage(repo_id, metadata),
+        _provenance(metadata),
+        f"## Citation\n\nThe method is that of\n\n```bibtex\n{CITATION}\n```",
+    ]
+    body = "\n\n".join(section for section in sections if section)
+    DatasetCard(f"---\n{data.to_yaml()}\n---\n\n{body}\n").save(root / CARD_PATH)
+
+
+def _introduction(repo_id: str, metadata: Metadata, info: dict) -> str:
+    source = metadata.provenance.source
+    size = f"{info['total_episodes']} episodes, {info['total_frames']} frames at {info['fps']} Hz"
+    if source is None:
+        origin = f"Demonstrations of **{metadata.embodiment}**, recorded in simulation with CEI-Gym: {size}."
+    else:
+        origin = (
+            f"Demonstrations of **{metadata.embodiment}**, converted from **{source.embodiment}** "
+            f"(`{source.repo_id}`) with CEI-Gym: {size}. No {metadata.embodiment} was operated: the joint "
+            "trajectories are those that bring its functional pads where the source robot's were, found by "
+            "minimising the Directional Chamfer Distance" + _shown(metadata, info)
+        )
+    title = f"# {repo_id}\n\n{origin} It is a [LeRobot](https://github.com/huggingface/lerobot) v3.0 dataset."
+    environment = metadata.environment
+    return title + (f"\n\nEnvironment: `{environment.id}`." if environment.id else "")
+
+
+def _shown(metadata: Metadata, info: dict) -> str:
+    """The end of a sentence: which robot clouds show."""
+    if schema.POINT_CLOUD not in info["features"]:
+        return "."
+    if metadata.provenance.options.get("clouds", {}).get("swap", True):
+        return ", and the point clouds show it in the source's place."
+    return ". **The point clouds still show the source robot** (`--clouds.swap=false`)."
+
+
+def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
+    lines = [header, tuple("---" for _ in header), *rows]
+    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def _quality(root: Path, metadata: Metadata, records: Records) -> str:
+    scored = _spread(
+        {"quality": record["quality"]["score"], **record["quality"]["parts"]}
+        for record in records
+        if "quality" in record
+    )
+    rows = scored + _spread(record.get("alignment", {}) for record in records)
+    if not rows:
+        return ""
+    parts = ["## Quality of the alignment"]
+    if (root / PICTURE_PATH).is_file():
+        parts.append(f"![Scores of all episodes, and the worst ones]({PICTURE_PATH})")
+    if scored:
+        parts.append(PARTS + _gated(metadata, records))
+    text = f"Over the episodes; per episode in `{RECORDS_PATH}`."
+    return "\n\n".join([*parts, text, _table(("per episode", "mean", "least", "largest"), rows)])
+
+
+def _spread(records: Iterable[Record]) -> list[tuple[str, ...]]:
+    """Rows of a table: each number that records hold, over all of them."""
+    values: dict[str, array] = {}
+    for record in records:
+        for key, value in record.items():
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                values.setdefault(key, array("d")).append(value)
+    return [(f"`{key}`", *(f"{f(v):.4g}" for f in (np.mean, np.min, np.max))) for key, v in values.items()]
+
+
+def _gated(metadata: Metadata, records: Records) -> str:
+    """Sentences on what the quality gate did; empty if there was none."""
+    options = metadata.provenance.options
+    text = ""
+    if "min_quality" in options:
+        text += f" Episodes below {options['min_quality']:g} are left out ({len(options['gate']['dropped'])})."
+    if "flag" in options:
+        flagged = [str(index) for index, record in enumerate(records) if record.get("flagged")]
+        text += f" Those below {options['flag']:g} are `flagged` in `{RECORDS_PATH}`: {', '.join(flagged) or 'none'}."
+    return text
+
+
+def _augmented(records: Records) -> str:
+    recorded = Counter(record["source_episode"] for record in records if "offset" in record)
+    if not recorded:
+        return ""
+    rows = _spread(record.get("offset", {}) for record in records)
+    return (
+        f"## Spatial augmentation\n\n{len(recorded)} recorded episodes became {recorded.total()}: in each, all objects are moved as one from where they were recorded, and the hand goes where they are. "
+        "Their points move rigidly: what a camera did not see of them, or behind them, where they were recorded is also missing "
+        f"where they are now. Per episode in `{RECORDS_PATH}`, under `offset`; `seed` there is that of the recorded start.\n\n"
+        + _table(("offset", "mean", "least", "largest"), rows)
+    )
+
+
+def _verified(metadata: Metadata, records: Records) -> str:
+    verdicts = (record["verified"] for record in records if "verified" in record)
+    kept = Counter(verdict["how"] if verdict["success"] else "fails" for verdict in verdicts)
+    if not kept:
+        return ""
+    dropped = metadata.provenance.options["verify"]["dropped"]
+    n = kept.total() + len(dropped)
+    text = (
+        f"## Verified in simulation\n\nEpisodes were replayed in `{metadata.environment.id}` as they were converted. The "
+        f"plain transfer succeeds in {kept['plain']} of {n}. Where it fails, others were tried: from another start, with "
+        f"another squeeze, with other points on the pads. With these, {kept.total() - kept['fails']} of {n} succeed. "
+    )
+    if dropped:
+        text += f"Left out are {len(dropped)} in which nothing did. "
+    text += f"Per episode in `{RECORDS_PATH}`, under `verified`.\n\n"
+    return text + _table(("transfer", "episodes"), list(kept.items()))
+
+
+def _cameras(metadata: Metadata, info: dict, records: Records) -> str:
+    """What the source's cameras became; empty for a recorded dataset."""
+    source = metadata.provenance.source
+    if source is None:
+        return ""
+    if schema.POINT_CLOUD not in info["features"]:
+        text = "There are no point clouds: the source has no depth, so it was converted in joints."
+    elif source.depth_cameras:
+        text = f"Point clouds were made from the depth of {_listed(source.depth_cameras)}."
+    else:
+        text = "Point clouds were made from the source's."
+    dtypes = {key: feature["dtype"] for key, feature in info["features"].items()}
+    pictures = [key for key, dtype in dtypes.items() if dtype in ("image", "video")]
+    if pictures:
+        text += (
+            f" Pictures of {_listed(pictures)} are the source's, passed through untouched: **they still show "
+            f"{source.embodiment}, not {metadata.embodiment}**."
+        )
+    stretched = sum("source_frames" in record for record in records)
+    if stretched and "video" in dtypes.values():
+        text += (
+            f" In {stretched} of {len(records)} episodes {metadata.embodiment} needs more time, so frames "
+            f"repeat (`source_frames` in `{RECORDS_PATH}`); their videos were encoded again."
+        )
+    return f"## Cameras\n\n{text}"
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def _layout(metadata: Metadata, info: dict) -> str:
+    features = [
+        (
+            f"`{key}`",
+            feature["dtype"],
+            "x".join(map(str, feature["shape"])),
+            ", ".join(map(str, feature["names"])),
+        )
+        for key, feature in info["features"].items()
+        if feature.get("names")
+    ]
+    cameras = [
+        (camera.name, f"{camera.width}x{camera.height}", np.round(np.diag(camera.K)[:2], 2).tolist())
+        for camera in metadata.scene.cameras
+    ]
+    parts = ["## Layout, frames, units", _table(("feature", "type", "shape", "entries"), features)]
+    parts.append("\n".join(f"- {name}: {text}" for name, text in metadata.conventions.items()))
+    if cameras:
+        parts.append(_table(("camera", "pixels", "focal length (px)"), cameras))
+    parts.append(f"Poses, intrinsics and workspace are in `{METADATA_PATH}`.")
+    return "\n\n".join(parts)
+
+
+def _usage(repo_id: str, metadata: Metadata) -> str:
+    replay = f"\n\n```bash\ncei-replay --dataset.repo_id={repo_id}\n```" if metadata.environment.id else ""
+    return f"""## Use
+
+```python
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+dataset = LeRobotDataset("{repo_id}")
+```
+
+```bash
+lerobot-train --dataset.repo_id={repo_id} --policy.type=<policy> --output_dir=outputs/train
+```{replay}"""
+
+
+def _provenance(metadata: Metadata) -> str:
+    provenance = metadata.provenance
+    parts = ["## How it was made"]
+    if provenance.command:
+        parts.append(f"```bash\n{provenance.command}\n```")
+    rows: list[tuple[Any, ...]] = [("date", provenance.date)] if provenance.date else []
+    if provenance.git_commit:
+        rows.append(("commit of CEI-Gym", provenance.git_commit))
+    rows += _source_rows(provenance.source)
+    rows += [(f"version of {name}", value) for name, value in provenance.versions.items()]
+    rows += [(f"`--{name}`", f"`{value}`") for name, value in _flat(provenance.options)]
+    parts.append(_table(("", ""), rows))
+    return "\n\n".join(parts)
+
+
+def _source_rows(source: Source | None) -> list[tuple[Any, ...]]:
+    if source is None:
+        return []
+    licenses = source.license if isinstance(source.license, list) else [source.license]
+    named = [each for each in (*licenses, source.license_name, source.license_link) if each]
+    rows = [
+        ("source", source.repo_id),
+        ("source revision", source.revision),
+        ("source files", source.fingerprint),
+    ]
+    return [
+        *((name, f"`{value}`") for name, value in rows if value),
+        ("license of the source", _listed(named) if named else "none is named, so none is named here"),
+    ]
+
+
+def _flat(options: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    flat: list[tuple[str, Any]] = []
+    for name, value in options.items():
+        if isinstance(value, dict):
+            flat += _flat(value, f"{prefix}{name}.")
+        else:
+            flat.append((prefix + name, value))
+    return flat

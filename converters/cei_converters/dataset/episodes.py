@@ -1,0 +1,182 @@
+"""Append whole episodes to a LeRobot v3.0 dataset.
+
+LeRobot's own writer takes frames as a robot gives them, one by one, and spends most of its time on each. Here an episode
+is one Arrow table from the start. Features, metadata, statistics and layout of files are LeRobot's, by its own functions.
+"""
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.video_files import VideoFiles
+
+_MB = 1024**2
+
+
+@dataclass(frozen=True)
+class EncodedEpisode:
+    """An episode as it is stored, wherever in a dataset that may be.
+
+    Attributes:
+        table: a column each feature, but for those that say where in the dataset frames are, and for pictures that pass
+            through.
+        statistics: feature key to LeRobot's statistics.
+        task: what it shows, in words.
+    """
+
+    table: pa.Table
+    statistics: Mapping[str, dict[str, np.ndarray]]
+    task: str = ""
+
+
+def encode_episode(columns: Mapping[str, np.ndarray], features: Mapping[str, dict], task: str) -> EncodedEpisode:
+    """Values as a dataset stores them.
+
+    Args:
+        columns: feature key to (T, ...) values of the feature's type; images as (T, H, W, 1 or 3).
+        features: LeRobot's description of each column.
+        task: what the episode shows, in words.
+    """
+    from lerobot.datasets.feature_utils import get_hf_features_from_features
+
+    own = {key: feature for key, feature in features.items() if key in columns}
+    hf_features = get_hf_features_from_features(own)
+    schema: pa.Schema = hf_features.arrow_schema
+    arrays = [_arrow(columns[key], own[key], hf_features[key]) for key in schema.names]
+    statistics = {key: _statistics(columns[key], own[key]) for key in schema.names}
+    return EncodedEpisode(pa.Table.from_arrays(arrays, schema=schema), statistics, task)
+
+
+class EpisodeWriter:
+    """Writes the files of one dataset; `finalize` completes them.
+
+    Args:
+        repo_id: name of the dataset.
+        root: its folder, which must not exist.
+        fps: frames a second.
+        features: LeRobot's description of each column, without those that every dataset has (index, timestamp, ...).
+        robot_type: what the dataset is of.
+    """
+
+    def __init__(self, repo_id: str, root: Path, *, fps: int, features: dict[str, dict], robot_type: str) -> None:
+        from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+        from lerobot.datasets.feature_utils import get_hf_features_from_features
+
+        videos = any(feature["dtype"] == "video" for feature in features.values())
+        self._meta = LeRobotDatasetMetadata.create(
+            repo_id, fps=fps, features=features, root=root, robot_type=robot_type, use_videos=videos
+        )
+        self._schema: pa.Schema = get_hf_features_from_features(self._meta.features).arrow_schema
+        self._videos = VideoFiles(root, self._meta)
+        self._file: pq.ParquetWriter | None = None
+        self._place = 0, 0  # chunk, file
+
+    def add(self, episode: EncodedEpisode, pictures: Pictures | None = None) -> None:
+        """Append an episode.
+
+        Args:
+            episode: what is stored of it.
+            pictures: those that pass through as they are.
+        """
+        pictures = pictures or Pictures()
+        frames, task = episode.table.num_rows, episode.task
+        start = int(self._meta.total_frames)
+        self._meta.save_episode_tasks([task])
+        frame_index = np.arange(frames)
+        place_of_frames = {
+            "timestamp": frame_index / self._meta.fps,
+            "frame_index": frame_index,
+            "episode_index": np.full(frames, self._meta.total_episodes),
+            "index": start + frame_index,
+            "task_index": np.full(frames, self._meta.get_task_index(task)),
+        }
+        added = encode_episode(place_of_frames, self._meta.features, task)
+        columns = {key: table[key] for table in (episode.table, added.table) for key in table.column_names}
+        columns |= pictures.images
+        self._write(pa.Table.from_arrays([columns[key] for key in self._schema.names], schema=self._schema))
+        chunk, file = self._place
+        place: dict[str, int | float] = {
+            "data/chunk_index": chunk,
+            "data/file_index": file,
+            "dataset_from_index": start,
+            "dataset_to_index": start + frames,
+        }
+        for key, clip in pictures.clips.items():
+            place |= self._videos.add(key, clip)
+        found = {**episode.statistics, **added.statistics}
+        own = {key: found[key] for key in self._schema.names if key in found}
+        self._meta.save_episode(self._meta.total_episodes, frames, [task], {**own, **pictures.statistics}, place)
+
+    def finalize(self) -> None:
+        """Complete the files. May be called more than once."""
+        self._close_file()
+        self._meta.finalize()
+
+    def _write(self, table: pa.Table) -> None:
+        """One row group an episode, so that a reader finds it without the others."""
+        from lerobot.datasets.utils import update_chunk_file_indices
+
+        path = self._path()
+        if self._file is not None and path.stat().st_size + table.nbytes >= self._meta.data_files_size_in_mb * _MB:
+            self._close_file()
+            self._place = update_chunk_file_indices(*self._place, self._meta.chunks_size)
+            path = self._path()
+        if self._file is None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # coordinates hardly repeat: a dictionary of them is slow to make and larger than they are
+            self._file = pq.ParquetWriter(path, table.schema, compression="zstd", use_dictionary=False)
+        self._file.write_table(table)
+
+    def _path(self) -> Path:
+        chunk, file = self._place
+        return self._meta.root / self._meta.data_path.format(chunk_index=chunk, file_index=file)
+
+    def _close_file(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
+def _arrow(values: np.ndarray, feature: Mapping[str, Any], hf_feature: Any) -> pa.Array:
+    from datasets.features.features import numpy_to_pyarrow_listarray
+    from datasets.table import cast_array_to_feature
+
+    if feature["dtype"] == "image":
+        return _images(values)
+    shape = tuple(feature["shape"])
+    values = values.reshape(len(values), *(() if shape == (1,) else shape))  # LeRobot stores (1,) as scalars
+    return cast_array_to_feature(numpy_to_pyarrow_listarray(values), hf_feature)
+
+
+def _statistics(values: np.ndarray, feature: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """As LeRobot's `compute_episode_stats`, which reads images from files."""
+    from lerobot.datasets.compute_stats import auto_downsample_height_width, get_feature_stats, sample_indices
+
+    if feature["dtype"] != "image":
+        return get_feature_stats(values, axis=0, keepdims=values.ndim == 1)
+    images = values[sample_indices(len(values))].transpose(0, 3, 1, 2)
+    small = np.stack([auto_downsample_height_width(image) for image in images])
+    stats = get_feature_stats(small, axis=(0, 2, 3), keepdims=True)
+    largest = 1.0 if (feature.get("info") or {}).get("is_depth_map") else 255.0
+    return {name: value if name == "count" else value[0] / largest for name, value in stats.items()}
+
+
+def _images(images: np.ndarray) -> pa.Array:
+    """(T, H, W, 1) depth as LeRobot's TIFF, (T, H, W, 3) pictures as its PNG, in the cells of `datasets.Image`."""
+    from datasets import Image
+    from lerobot.datasets.image_writer import image_array_to_pil_image, save_kwargs_for_path
+
+    cells: list[dict[str, Any]] = []
+    kind = "tiff" if images.shape[-1] == 1 else "png"
+    for frame, image in enumerate(images):
+        path, buffer = Path(f"frame-{frame:06d}.{kind}"), io.BytesIO()
+        image_array_to_pil_image(image).save(buffer, format=kind.upper(), **save_kwargs_for_path(path, 1))
+        cells.append({"bytes": buffer.getvalue(), "path": str(path)})
+    return pa.array(cells, Image().pa_type)

@@ -1,0 +1,108 @@
+"""Find a dataset's folder and check its version, before anything heavy is imported."""
+
+from pathlib import Path
+
+from cei_converters.dataset.hub import check_repo_id
+from cei_converters.dataset.metadata import METADATA_PATH
+from cei_gym.errors import CEIError, one_line
+from cei_gym.untrusted import load_json
+
+INFO_PATH = "meta/info.json"
+
+
+def locate(repo_id: str, root: str | Path | None, revision: str | None = None) -> Path:
+    """Folder of a v3.0 dataset: `root`, else LeRobot's cache, else downloaded from the hub; of an older one, its v3.0 copy.
+
+    Raises:
+        CEIError: there is none, or it is of another version.
+    """
+    if root is not None:
+        folder = Path(root)
+        if not (folder / INFO_PATH).is_file():
+            raise CEIError(
+                f"no LeRobot dataset in {folder}: {INFO_PATH} is missing; set --dataset.root to the folder "
+                "that holds meta/ and data/, or leave it out to fetch --dataset.repo_id."
+            )
+    else:
+        folder = _cached_or_downloaded(repo_id, revision)
+    return _as_v30(folder)
+
+
+def locate_metadata(dataset: str) -> Path:
+    """Folder with a dataset's `meta/cei.json`, given the dataset's folder or its repo id; nothing else is downloaded.
+
+    Raises:
+        CEIError: there is none.
+    """
+    from lerobot.utils.constants import HF_LEROBOT_HOME
+
+    for folder in (Path(dataset), HF_LEROBOT_HOME / dataset):
+        if (folder / METADATA_PATH).is_file():
+            return folder
+    if Path(dataset).exists():
+        raise CEIError(f"{dataset} is no dataset of CEI-Gym: {METADATA_PATH} is missing.")
+    check_repo_id(dataset)
+    from huggingface_hub import hf_hub_download
+
+    try:
+        return Path(hf_hub_download(dataset, METADATA_PATH, repo_type="dataset")).parents[1]
+    except Exception as error:  # network, authorisation, unknown names: the hub's client has no common class
+        raise CEIError(
+            f"no dataset {dataset!r}: it is no folder, not in {HF_LEROBOT_HOME}, and {METADATA_PATH} could not be fetched "
+            f"from the hub ({one_line(error)})."
+        ) from error
+
+
+def _cached_or_downloaded(repo_id: str, revision: str | None) -> Path:
+    from lerobot.utils.constants import HF_LEROBOT_HOME, HF_LEROBOT_HUB_CACHE
+
+    check_repo_id(repo_id)
+    if (HF_LEROBOT_HOME / repo_id / INFO_PATH).is_file():
+        return HF_LEROBOT_HOME / repo_id
+    from huggingface_hub import snapshot_download
+    from huggingface_hub.errors import RevisionNotFoundError
+    from lerobot.datasets.dataset_metadata import CODEBASE_VERSION
+
+    def download(revision: str) -> Path:
+        patterns = ["meta/*", "data/*", "videos/*", "README.md"]
+        cache = {"cache_dir": HF_LEROBOT_HUB_CACHE, "allow_patterns": patterns}
+        return Path(snapshot_download(repo_id, repo_type="dataset", revision=revision, **cache))
+
+    try:
+        try:
+            return download(revision or CODEBASE_VERSION)
+        except RevisionNotFoundError:
+            if revision is not None:
+                raise
+            return download("main")  # of an older format
+    except Exception as error:  # network, authorisation, unknown names: the hub's client has no common class
+        raise CEIError(
+            f"dataset {repo_id!r} is neither in {HF_LEROBOT_HOME} nor could it be fetched from the hub "
+            f"({one_line(error)}); for a local one set --dataset.root."
+        ) from error
+
+
+def read_info(root: Path) -> dict:
+    """`meta/info.json` as a dict.
+
+    Raises:
+        CEIError: it is no JSON object.
+    """
+    try:
+        info = load_json((root / INFO_PATH).read_text())
+    except (OSError, ValueError) as error:
+        raise CEIError(f"{root / INFO_PATH} cannot be read: {error}.") from error
+    if not isinstance(info, dict):
+        raise CEIError(f"{root / INFO_PATH} should be a JSON object.")
+    return info
+
+
+def _as_v30(root: Path) -> Path:
+    version = str(read_info(root).get("codebase_version", "unknown"))
+    if version == "v3.0":
+        return root
+    from cei_converters.dataset import legacy
+
+    if version not in legacy.VERSIONS:
+        raise CEIError(f"{root} has codebase_version {version!r}; v3.0, {' and '.join(legacy.VERSIONS)} are read.")
+    return legacy.upgrade(root, version)

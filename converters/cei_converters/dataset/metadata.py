@@ -1,0 +1,184 @@
+"""`meta/cei.json`: what LeRobot's format has no home for (scene, environment, provenance). Its neighbour: `records`."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import draccus
+import numpy as np
+from draccus.utils import DraccusException
+
+from cei_gym.demonstration import Scene
+from cei_gym.errors import CEIError, one_line
+from cei_gym.untrusted import load_json
+
+FORMAT_VERSION = "1.0"
+METADATA_PATH = "meta/cei.json"
+PICTURE_PATH = "meta/quality.png"
+REQUIRED = "embodiment, scene.T_world_base, scene.cameras (name, width, height, K, T_world_camera)"
+CONVENTIONS = {
+    "world": "right-handed, z up, metres",
+    "camera": "OpenCV axes: x right, y down, z forward; T_world_camera maps camera to world",
+    "joints": "observation.state: positions; action: absolute position targets; arm then end-effector",
+    "point_cloud": "world frame, metres, cropped to scene.workspace_world",
+    "depth": "along the optical axis, 0 where unknown",
+}
+
+
+@dataclass(frozen=True)
+class Environment:
+    """The gymnasium environment that an episode replays in."""
+
+    id: str | None = None
+    kwargs: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Source:
+    """The dataset that this one was converted from. What its card says of its license is carried over as it is."""
+
+    repo_id: str
+    embodiment: str
+    root_name: str | None = None
+    revision: str | None = None
+    fingerprint: str | None = None
+    license: Any = None  # an identifier, or a list of them
+    license_name: str | None = None  # where the identifier is "other"
+    license_link: str | None = None
+    depth_cameras: tuple[str, ...] = ()  # those whose depth became clouds
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a dataset came about; see `cei_converters.dataset.provenance.collect`."""
+
+    source: Source | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    pads: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    git_commit: str | None = None
+    date: str = ""
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """Contents of `meta/cei.json`."""
+
+    embodiment: str
+    scene: Scene
+    environment: Environment = field(default_factory=Environment)
+    provenance: Provenance = field(default_factory=Provenance)
+    conventions: dict[str, str] = field(default_factory=lambda: dict(CONVENTIONS))
+    format_version: str = FORMAT_VERSION
+
+    def save(self, root: Path) -> None:
+        """Write to a dataset's folder."""
+        path = root / METADATA_PATH
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(plain(self), indent=1, allow_nan=False) + "\n")
+
+    @classmethod
+    def load(cls, root: Path) -> "Metadata":
+        """Read from a dataset's folder.
+
+        Raises:
+            CEIError: the file is missing, no JSON, of another version, or a field is missing or wrong.
+        """
+        path = root / METADATA_PATH
+        where = f"{root.name}/{METADATA_PATH}"
+        try:
+            raw = load_json(path.read_text())
+        except FileNotFoundError as error:
+            raise CEIError(f"{where} is missing; it needs {REQUIRED}.") from error
+        except (ValueError, OSError) as error:
+            raise CEIError(f"{where} cannot be read: {error}; it should be a JSON object.") from error
+        if not isinstance(raw, dict):
+            raise CEIError(f"{where} should be a JSON object with {REQUIRED}.")
+        version = str(raw.get("format_version"))
+        if version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
+            raise CEIError(f"{where}: format_version is {version}, this program reads {FORMAT_VERSION}.")
+        try:
+            metadata = draccus.decode(cls, raw)
+        except DraccusException as error:
+            raise CEIError(f"{where}: {one_line(error)}; needed: {REQUIRED}.") from error
+        empty = [name for name, value in _values(metadata.scene, "scene") if value is None]
+        if metadata.embodiment is None or empty:  # draccus takes null for anything
+            raise CEIError(f"{where}: {[*empty, 'embodiment'][0]} is null; needed: {REQUIRED}.")
+        check_scene(metadata.scene, f"{where}: scene")
+        return metadata
+
+
+def _values(value: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Values of dataclasses in each other, and where they are."""
+    if dataclasses.is_dataclass(value):
+        for each in dataclasses.fields(value):
+            yield from _values(getattr(value, each.name), f"{name}.{each.name}")
+    elif isinstance(value, tuple):
+        for i, item in enumerate(value):
+            yield from _values(item, f"{name}.{i}")
+    else:
+        yield name, value
+
+
+def plain(value: object) -> Any:
+    """A value as JSON types: arrays to lists, dataclasses to dicts, not-a-number and infinity to null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, (bool, int)) else str(value)
+
+
+def check_scene(scene: Scene, where: str) -> None:
+    """Check shapes, rigid transforms and intrinsics.
+
+    Raises:
+        CEIError: naming the field.
+    """
+    _check_pose(scene.T_world_base, f"{where}: T_world_base")
+    workspace = scene.workspace_world
+    if workspace.shape != (2, 3) or not np.isfinite(workspace).all() or not (workspace[0] < workspace[1]).all():
+        raise CEIError(f"{where}: workspace_world should be [[x, y, z] lower, [x, y, z] upper] in metres.")
+    names = [camera.name for camera in scene.cameras]
+    if len(set(names)) != len(names):
+        raise CEIError(f"{where}: two cameras share a name among {', '.join(names)}.")
+    for camera in scene.cameras:
+        place = f"{where}: camera {camera.name!r}"
+        _check_pose(camera.T_world_camera, f"{place}: T_world_camera")
+        K = camera.K
+        if K.shape != (3, 3) or not np.isfinite(K).all() or min(np.diag(K)) <= 0 or not np.allclose(K[2], (0, 0, 1)):
+            raise CEIError(
+                f"{place}: K should be 3x3 [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, fx and fy positive."
+            )
+        if camera.width <= 0 or camera.height <= 0:
+            raise CEIError(f"{place}: size {camera.width}x{camera.height} should be positive.")
+
+
+def _check_pose(T: np.ndarray, where: str) -> None:
+    rigid = (
+        T.shape == (4, 4)
+        and np.isfinite(T).all()
+        and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-4)
+        and np.linalg.det(T[:3, :3]) > 0
+        and np.allclose(T[3], (0, 0, 0, 1))
+    )
+    if not rigid:
+        raise CEIError(f"{where} should be a 4x4 rigid transform [[R, t], [0, 0, 0, 1]].")
+
+
+def _decode_array(raw: object, _path: object) -> np.ndarray:
+    return np.asarray(raw, dtype=np.float64)
+
+
+draccus.decode.register(np.ndarray, _decode_array)

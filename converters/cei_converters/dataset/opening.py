@@ -1,0 +1,91 @@
+"""Open what describes a dataset: LeRobot's metadata, ours, and the embodiment that they name."""
+
+from pathlib import Path
+from typing import Any
+
+from cei_converters.dataset.info import check_episodes, check_info
+from cei_converters.dataset.locate import INFO_PATH, read_info
+from cei_converters.dataset.metadata import METADATA_PATH, REQUIRED, Metadata
+from cei_gym.embodiment import Embodiment, embodiment_names, load_embodiment
+from cei_gym.errors import CEIError, one_line, unknown
+
+
+def load_metadata(root: Path, embodiment: str | None) -> Metadata | None:
+    """`meta/cei.json`; None if it is missing and an embodiment is given instead.
+
+    Raises:
+        CEIError: it is wrong, or missing and not replaced.
+    """
+    if (root / METADATA_PATH).is_file():
+        return Metadata.load(root)
+    if embodiment is None:
+        raise CEIError(
+            f"{root} has no {METADATA_PATH}; it needs {REQUIRED}. "
+            f"Without it, name the robot with --source=<one of {', '.join(embodiment_names())}>, and calibrate depth "
+            "cameras, if there are any, with --calibration=FILE.yaml."
+        )
+    return None
+
+
+def choose_embodiment(root: Path, metadata: Metadata | None, given: str | None) -> Embodiment:
+    """The embodiment that the metadata names, or the given one.
+
+    Raises:
+        CEIError: it is unknown, or the two differ.
+    """
+    for name in (given, metadata.embodiment if metadata is not None else None):
+        if name is not None and name not in embodiment_names():
+            raise unknown("embodiment", name, embodiment_names())
+    if metadata is not None and given is not None and given != metadata.embodiment:
+        raise CEIError(f"{root} is a dataset of {metadata.embodiment}, not of {given}; leave --source out.")
+    name = metadata.embodiment if metadata is not None else given
+    assert name is not None
+    return load_embodiment(name)
+
+
+def embodiment_without_metadata(path: Path, given: str | None) -> Embodiment:
+    """The given embodiment, of a format that has no `meta/cei.json`.
+
+    Raises:
+        CEIError: none is given, or it is unknown.
+    """
+    if given is None:
+        raise CEIError(
+            f"{path} does not say which robot it is of; name it with --source=<Arm>-<EndEffector>, or in --joint_map."
+        )
+    return load_embodiment(given)
+
+
+def load_lerobot_metadata(repo_id: str, root: Path) -> Any:
+    """LeRobot's own metadata, a `LeRobotDatasetMetadata`.
+
+    Raises:
+        CEIError: a file is missing, damaged or wrong, or there are no episodes.
+    """
+    import pyarrow.parquet as pq
+    from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+
+    # LeRobot would fetch what is missing from the hub and mix it in
+    for path in ("meta/episodes", "meta/tasks.parquet", "data"):
+        if not (root / path).exists():
+            raise CEIError(f"{root} is no complete v3.0 dataset: {path} is missing.")
+    if not any((root / "meta/episodes").glob("*/*.parquet")):
+        raise CEIError(f"{root} is no complete v3.0 dataset: meta/episodes has no Parquet file.")
+    check_info(read_info(root), str(root / INFO_PATH))
+    for path in sorted((root / "meta").rglob("*.parquet")):
+        try:
+            pq.read_metadata(path)
+        except (OSError, ValueError) as error:
+            raise CEIError(
+                f"{path} cannot be read ({one_line(error)}); download or record the dataset again."
+            ) from error
+    try:
+        meta = LeRobotDatasetMetadata(repo_id, root)
+    except Exception as error:  # datasets and pyarrow raise many kinds on a damaged file
+        raise CEIError(
+            f"{root}/meta cannot be read ({one_line(error)}); download or record the dataset again."
+        ) from error
+    if meta.total_episodes == 0:
+        raise CEIError(f"{root} has no episodes: total_episodes in {INFO_PATH} is 0.")
+    check_episodes(meta.episodes, meta.total_episodes, root)
+    return meta

@@ -1,0 +1,96 @@
+"""`meta/cei_episodes.jsonl`: what is known of each episode (seed, quality, ...), a line each, of which memory holds one."""
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Self, overload
+
+from cei_converters.dataset.metadata import plain
+from cei_gym.errors import CEIError
+from cei_gym.untrusted import load_json
+
+RECORDS_PATH = "meta/cei_episodes.jsonl"
+
+Record = dict[str, Any]
+"""Free-form JSON types by name."""
+
+
+class Records(Sequence[Record]):
+    """Those of a dataset, in the order of its episodes; none if it has no such file. All are checked at once.
+
+    Args:
+        root: folder of the dataset.
+
+    Raises:
+        CEIError: the file cannot be read, or a line is no JSON object.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._path = root / RECORDS_PATH
+        self._starts = [0]
+        try:
+            with self._path.open("rb") as file:
+                for index, line in enumerate(file):
+                    self._parse(index, line)
+                    self._starts.append(self._starts[-1] + len(line))
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            raise CEIError(f"{self._path} cannot be read: {error}.") from error
+
+    def __len__(self) -> int:
+        return len(self._starts) - 1
+
+    @overload
+    def __getitem__(self, index: int) -> Record: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Record]: ...
+    def __getitem__(self, index: int | slice) -> Record | list[Record]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        index = range(len(self))[index]
+        with self._path.open("rb") as file:
+            file.seek(self._starts[index])
+            return self._parse(index, file.readline())
+
+    def __iter__(self) -> Iterator[Record]:
+        if len(self):
+            with self._path.open("rb") as file:
+                for index, line in enumerate(file):
+                    yield self._parse(index, line)
+
+    def _parse(self, index: int, line: bytes) -> Record:
+        where = f"{self._path}, line {index + 1}"
+        try:
+            record = load_json(line.decode())
+        except ValueError as error:  # CEIError and UnicodeDecodeError, too
+            raise CEIError(f"{where} cannot be read: {error}; it should be a JSON object.") from error
+        if not isinstance(record, dict):
+            raise CEIError(f"{where} should be a JSON object.")
+        return record
+
+
+class RecordWriter:
+    """Context manager that writes them, one by one.
+
+    Args:
+        root: folder of the dataset.
+    """
+
+    def __init__(self, root: Path) -> None:
+        (root / RECORDS_PATH).parent.mkdir(parents=True, exist_ok=True)
+        self._file = (root / RECORDS_PATH).open("w")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def add(self, record: Record) -> None:
+        """Append the next episode's."""
+        self._file.write(json.dumps(plain(record), allow_nan=False) + "\n")
+
+    def close(self) -> None:
+        """Complete the file. May be called more than once."""
+        self._file.close()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,214 @@
+"""Write demonstrations as a LeRobot v3.0 dataset, all or nothing."""
+
+import contextlib
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from cei_converters.dataset import schema
+from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.card import write_card
+from cei_converters.dataset.columns import encode
+from cei_converters.dataset.episodes import EncodedEpisode, EpisodeWriter, encode_episode
+from cei_converters.dataset.metadata import Environment, Metadata, Provenance, check_scene
+from cei_converters.dataset.records import RecordWriter
+from cei_gym.demonstration import Demonstration, Scene
+from cei_gym.embodiment import load_embodiment
+from cei_gym.errors import CEIError
+
+
+def default_root(repo_id: str) -> Path:
+    """Where LeRobot keeps a local dataset."""
+    from lerobot.utils.constants import HF_LEROBOT_HOME
+
+    return HF_LEROBOT_HOME / repo_id
+
+
+@dataclass(frozen=True)
+class Header:
+    """What all episodes of a dataset share.
+
+    Attributes:
+        embodiment: whose they are.
+        fps: frames a second.
+        scene: base pose, cameras, workspace.
+        features: LeRobot's, without those of passed-through cameras.
+    """
+
+    embodiment: str
+    fps: float
+    scene: Scene
+    features: dict[str, dict]
+
+    @classmethod
+    def of(cls, demonstration: Demonstration) -> Self:
+        """That of a dataset with this demonstration."""
+        features = schema.features(load_embodiment(demonstration.embodiment), demonstration)
+        return cls(demonstration.embodiment, demonstration.fps, demonstration.scene, features)
+
+
+class DatasetWriter:
+    """Context manager that writes episodes one at a time.
+
+    Files go to a hidden sibling of `root`, which becomes `root` when the block ends well and is removed when
+    it does not. Embodiment, scene, rate and features are those of the first episode; others must match them.
+
+    Args:
+        repo_id: name of the dataset.
+        root: its folder, which must not exist; default: LeRobot's.
+        environment: what the episodes replay in.
+        provenance: how they came about.
+        cameras: LeRobot's features of cameras whose pictures pass through.
+        partial: folder for unfinished files, on the same disk; default: a hidden sibling of `root`.
+
+    Attributes:
+        environment, provenance: as given; they may be completed until the block ends.
+    """
+
+    def __init__(
+        self,
+        repo_id: str,
+        root: str | Path | None = None,
+        *,
+        environment: Environment | None = None,
+        provenance: Provenance | None = None,
+        cameras: Mapping[str, dict] | None = None,
+        partial: Path | None = None,
+    ) -> None:
+        self.repo_id = repo_id
+        self.root = Path(root) if root is not None else default_root(repo_id)
+        self.environment = environment or Environment()
+        self.provenance = provenance or Provenance()
+        self._cameras = dict(cameras or {})
+        self._partial = partial or self.root.parent / f".{self.root.name}.partial-{os.getpid()}"
+        self._new_folders: list[Path] = []
+        self._header: Header | None = None
+        self._episodes: EpisodeWriter | None = None
+        self._records: RecordWriter | None = None
+        self._count = 0
+
+    def __enter__(self) -> Self:
+        if self.root.exists():
+            raise CEIError(f"{self.root} already exists; choose another folder or remove it first.")
+        folders = (self.root.parent, *self.root.parent.parents)
+        self._new_folders = [folder for folder in folders if not folder.exists()]
+        self.root.parent.mkdir(parents=True, exist_ok=True)
+        if self._partial.exists():  # of a process that was killed
+            shutil.rmtree(self._partial)
+        return self
+
+    def add(
+        self, demonstration: Demonstration, record: dict[str, Any] | None = None, pictures: Pictures | None = None
+    ) -> None:
+        """Write one episode.
+
+        Args:
+            demonstration: the episode.
+            record: what `meta/cei_episodes.jsonl` shall keep of it (seed, quality, ...).
+            pictures: what cameras saw in these frames, if any pass through.
+
+        Raises:
+            CEIError: the episode does not match the first one, or a depth is out of range.
+        """
+        episode = encode_episode(
+            encode(demonstration), (header := Header.of(demonstration)).features, demonstration.task
+        )
+        self.append(header, episode, record, pictures)
+
+    def append(
+        self,
+        header: Header,
+        episode: EncodedEpisode,
+        record: dict[str, Any] | None = None,
+        pictures: Pictures | None = None,
+    ) -> None:
+        """Write one episode that is encoded already; see `add`."""
+        if self._header is None:
+            self._start(header)
+        else:
+            _check_same(self._header, header, f"episode {self._count}")
+        assert self._episodes is not None and self._records is not None
+        self._episodes.add(episode, pictures)
+        self._records.add(record or {})
+        self._count += 1
+
+    def _start(self, header: Header) -> None:
+        if header.fps != int(header.fps):
+            raise CEIError(f"fps {header.fps} is not an integer, as LeRobot requires.")
+        check_scene(header.scene, "episode 0")
+        self._episodes = EpisodeWriter(
+            self.repo_id,
+            self._partial,
+            fps=int(header.fps),
+            features=header.features | self._cameras,
+            robot_type=header.embodiment,
+        )
+        self._records = RecordWriter(self._partial)
+        self._header = header
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is None:
+                self._finish()
+        finally:
+            if self._episodes is not None:
+                self._episodes.finalize()
+            if self._records is not None:
+                self._records.close()
+            if self._partial.exists():
+                shutil.rmtree(self._partial)
+            for folder in self._new_folders:
+                with contextlib.suppress(OSError):  # not empty: the dataset is in it
+                    folder.rmdir()
+
+    def _finish(self) -> None:
+        if self._header is None or self._episodes is None or self._records is None:
+            raise CEIError(f"no episode was written, so {self.root} is not made.")
+        self._episodes.finalize()
+        self._records.close()
+        metadata = Metadata(
+            embodiment=self._header.embodiment,
+            scene=self._header.scene,
+            environment=self.environment,
+            provenance=self.provenance,
+        )
+        metadata.save(self._partial)
+        write_card(self._partial, self.repo_id, metadata)
+        if self.root.exists():
+            raise CEIError(f"{self.root} came into being meanwhile; choose another folder.")
+        self._partial.rename(self.root)
+
+
+def _check_same(first: Header, other: Header, where: str) -> None:
+    for what in ("embodiment", "fps"):
+        ours, theirs = getattr(first, what), getattr(other, what)
+        if ours != theirs:
+            raise CEIError(f"{where}: {what} is {theirs} but the dataset's is {ours}.")
+    if not _same_scene(first.scene, other.scene):
+        raise CEIError(f"{where}: base, cameras or workspace differ from episode 0; use one dataset a scene.")
+    for key in sorted(first.features.keys() | other.features.keys()):
+        expected, got = (found.features.get(key, {}).get("shape") for found in (first, other))
+        if expected != got:
+            raise CEIError(f"{where}: {key} has shape {got} but the dataset's is {expected}.")
+
+
+def _same_scene(a: Scene, b: Scene) -> bool:
+    return (
+        np.allclose(a.T_world_base, b.T_world_base)
+        and np.allclose(a.workspace_world, b.workspace_world)
+        and len(a.cameras) == len(b.cameras)
+        and all(
+            (one.name, one.width, one.height) == (other.name, other.width, other.height)
+            and np.allclose(one.K, other.K)
+            and np.allclose(one.T_world_camera, other.T_world_camera)
+            for one, other in zip(a.cameras, b.cameras, strict=True)
+        )
+    )

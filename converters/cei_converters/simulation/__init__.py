@@ -1,0 +1,1 @@
+"""Environments that episodes are recorded and replayed in."""

@@ -1,0 +1,1 @@
+"""What can be converted: formats that demonstrations come in, and what their columns mean."""

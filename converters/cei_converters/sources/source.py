@@ -1,0 +1,224 @@
+"""What is converted: recorded episodes, whatever format they are in."""
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cei_converters.dataset.cameras import Pictures
+from cei_converters.sources.calibration import Calibration
+from cei_converters.sources.joint_map import BoundJointMap
+from cei_gym.demonstration import Demonstration, Scene
+from cei_gym.embodiment import Embodiment
+from cei_gym.errors import CEIError
+from cei_gym.kinematics.inverse import follow_link
+
+if TYPE_CHECKING:
+    from cei_converters.dataset.metadata import Metadata
+
+# how far outside its range a joint may be read before its unit must be wrong
+UNIT_SLACK = {"rad": np.pi, "m": 0.5}
+WRONG_UNIT = {"rad": "degrees; convert to rad", "m": "millimetres or percent; convert to m"}
+# stands in for the workspace of a dataset that does not say: about any arm's reach
+DEFAULT_WORKSPACE_M = np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
+
+
+@dataclass(frozen=True)
+class Joints:
+    """An episode's joints: positions and targets (T, n), rad or m, and how well they could be had."""
+
+    qpos: np.ndarray
+    action: np.ndarray
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+class Source(ABC):
+    """Recorded episodes of one embodiment.
+
+    Attributes:
+        repo_id: name of the dataset.
+        root: its folder or file.
+        embodiment, scene: of all its episodes.
+        metadata: contents of `meta/cei.json`, or None.
+        records: what is known of each episode (seed, quality, ...), of those that it is known of.
+        fps: frames a second.
+        has_clouds: whether point clouds are recorded.
+        segmented: whether pictures say where depth cameras see objects.
+        depth_cameras: names of the cameras whose depth is read.
+        cameras: LeRobot's features of the others, whose pictures are not looked at.
+        ignored_features: names of what is neither read nor a picture.
+    """
+
+    repo_id: str
+    root: Path
+    embodiment: Embodiment
+    scene: Scene
+    metadata: "Metadata | None" = None
+    records: Sequence[Mapping[str, Any]] = ()
+    fps: float
+    has_clouds: bool = False
+    segmented: bool = False
+    depth_cameras: tuple[str, ...] = ()
+    cameras: Mapping[str, dict] = {}
+    ignored_features: Sequence[str] = ()
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @abstractmethod
+    def frames(self, index: int) -> int:
+        """Frames of an episode, without reading it."""
+
+    @abstractmethod
+    def read(self, index: int, *, clouds: bool = True, colours: bool = True) -> Demonstration:
+        """One episode.
+
+        Args:
+            index: which.
+            clouds: also read what cameras saw, depth and point clouds: nearly all of an episode's bytes.
+            colours: with them pictures that belong to depth: those of a feature named after a calibrated depth camera, of its size.
+
+        Raises:
+            CEIError: it is absent, empty, unreadable, not finite, or in the wrong unit.
+        """
+
+    def __iter__(self) -> Iterator[Demonstration]:
+        return (self.read(index) for index in range(len(self)))
+
+    def record(self, index: int) -> dict[str, Any]:
+        """What is known of an episode; empty if nothing is."""
+        return dict(self.records[index]) if index < len(self.records) else {}
+
+    def check_videos(self, episodes: Sequence[int]) -> None:  # noqa: B027  (most formats have none)
+        """Check that episodes' video files are there.
+
+        Raises:
+            CEIError: one is missing.
+        """
+
+    def pictures(self, index: int) -> Pictures:
+        """What an episode's RGB cameras saw, as it is stored.
+
+        Raises:
+            CEIError: a picture, a video or statistics are missing.
+        """
+        return Pictures()
+
+    def masks(self, index: int) -> dict[str, np.ndarray]:
+        """Depth camera's name to (T, H, W) bool, where it sees objects; none without a feature that says so.
+
+        Raises:
+            CEIError: a picture or a video is missing or damaged.
+        """
+        return {}
+
+    def select(self, episodes: Sequence[int] | None) -> list[int]:
+        """Checked episode indices; None selects all.
+
+        Raises:
+            CEIError: the selection is empty, repeats an index, or has one that the dataset lacks.
+        """
+        if episodes is None:
+            return list(range(len(self)))
+        if not episodes:
+            raise CEIError("the selection of episodes is empty.")
+        for index in episodes:
+            if not 0 <= index < len(self):
+                raise CEIError(f"{self.repo_id} has no episode {index}. Valid: 0 to {len(self) - 1}.")
+        (most, times), *_ = Counter(episodes).most_common(1)
+        if times > 1:
+            raise CEIError(f"the selection of episodes repeats {most}.")
+        return list(episodes)
+
+    def joints(self, state: np.ndarray, action: np.ndarray | None, index: int, bound: BoundJointMap | None) -> Joints:
+        """Checked joints of an episode.
+
+        Args:
+            state: (T, k) as recorded.
+            action: (T, k) likewise; None takes the next frame's state for it.
+            index: of the episode.
+            bound: which columns are which joints; None if they are the embodiment's, in its order.
+
+        Raises:
+            CEIError: a value is not finite, or in the wrong unit.
+        """
+        where = f"episode {index}"
+        state = state.astype(np.float64)
+        if not len(state):
+            raise CEIError(f"{where} has no frames; leave it out with --episodes or record it again.")
+        qpos, figures = state if bound is None else bound.qpos(state), {}
+        if bound is not None and bound.pose is not None:
+            _check_finite(state[:, bound.pose_columns], where, "pose", [f"column {c}" for c in bound.pose_columns])
+            qpos, figures = self._recover(bound, state, qpos, where)
+        self._check_values(qpos, where, "observation.state")
+        if action is None or (bound is not None and bound.pose is not None):
+            return Joints(qpos, np.concatenate([qpos[1:], qpos[-1:]]), figures)
+        action = action.astype(np.float64)
+        # before a map clips them: what is far off is in the wrong unit
+        self._check_values(action if bound is None else bound.qpos(action), where, "action")
+        return Joints(qpos, action if bound is None else bound.targets(action), figures)
+
+    def _recover(self, bound: BoundJointMap, state: np.ndarray, qpos: np.ndarray, where: str):
+        assert bound.pose is not None and self.embodiment.arm is not None
+        link = self.embodiment.body_id(bound.pose.link or self.embodiment.arm.mount_body)
+        T_base_link = bound.pose.T_base_link(state[:, bound.pose_columns], self.scene.T_world_base, where)
+        found = follow_link(self.embodiment, link, T_base_link)
+        n_arm = self.embodiment.n_arm
+        figures = {
+            "ik_position_mm": float(1e3 * found.position_m.max()),
+            "ik_angle_deg": float(np.degrees(found.angle_rad.max())),
+        }
+        return np.column_stack([found.qpos[:, :n_arm], qpos[:, n_arm:]]), figures
+
+    def _check_values(self, values: np.ndarray, where: str, key: str) -> None:
+        """values: (T, n) rad or m."""
+        body = self.embodiment
+        _check_finite(values, where, key, [f"joint {name}" for name in body.joint_names])
+        slack = np.array([UNIT_SLACK[unit] for unit in body.joint_units])
+        far = np.argwhere((values < body.lower - slack) | (values > body.upper + slack))
+        if len(far):
+            frame, joint = far[0]
+            unit = body.joint_units[joint]
+            limits = f"[{body.lower[joint]:.4g}, {body.upper[joint]:.4g}] {unit}"
+            raise CEIError(
+                f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is "
+                f"{values[frame, joint]:.4g} {unit}, far outside {limits}; it looks like {WRONG_UNIT[unit]}."
+            )
+
+
+def _check_finite(values: np.ndarray, where: str, key: str, names: Sequence[str]) -> None:
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        frame, column = bad[0]
+        raise CEIError(
+            f"{where}, frame {frame}, {names[column]}: {key} is {values[frame, column]}; "
+            "leave the episode out with --episodes or record it again."
+        )
+
+
+def check_cloud(cloud: np.ndarray, frames: int, where: str) -> np.ndarray:
+    """Checked (T, P, 3 or 6) float32 points, colours from 0-255 to [0, 1] where that is what they are.
+
+    Raises:
+        CEIError: it is of another shape.
+    """
+    if cloud.ndim != 3 or len(cloud) != frames or cloud.shape[2] not in (3, 6) or cloud.dtype.kind not in "fiu":
+        raise CEIError(
+            f"{where}: point clouds should be ({frames}, points, 3 or 6) numbers, not {cloud.shape} {cloud.dtype}."
+        )
+    cloud = cloud.astype(np.float32)
+    if cloud.shape[2] == 6 and np.nanmax(cloud[..., 3:], initial=0.0) > 1:
+        cloud[..., 3:] /= 255
+    return cloud
+
+
+def scene_without_metadata(T_world_base: np.ndarray | None, calibration: Calibration | None) -> Scene:
+    """What is known of the scene of a dataset that does not say: at best where its base is."""
+    if T_world_base is None and calibration is not None:
+        T_world_base = calibration.T_world_base
+    T_world_base = np.eye(4) if T_world_base is None else T_world_base
+    return Scene(T_world_base=T_world_base, cameras=(), workspace_world=DEFAULT_WORKSPACE_M + T_world_base[:3, 3])

@@ -1,0 +1,123 @@
+"""Read demonstrations of 3D Diffusion Policy and DemoGen: one zarr group, episodes end to end."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cei_converters.dataset.opening import embodiment_without_metadata
+from cei_converters.sources.calibration import Calibration
+from cei_converters.sources.joint_map import JointMap, bind
+from cei_converters.sources.recording import Recording, Recordings, spread
+from cei_converters.sources.source import Source, check_cloud, scene_without_metadata
+from cei_gym.demonstration import Demonstration
+from cei_gym.errors import CEIError, one_line
+
+_STATE, _CLOUD, _ENDS = "data/state", "data/point_cloud", "meta/episode_ends"
+
+
+class ZarrSource(Source):
+    """Episodes of a zarr group with `data/state`, maybe `data/point_cloud`, and `meta/episode_ends`.
+
+    Columns are named by their numbers, so that a joint map is needed. Actions are the next frame's state: those
+    recorded are of whatever controller there was.
+
+    Args:
+        repo_id, root, embodiment, T_world_base, calibration, joint_map: see `open_source`.
+
+    Raises:
+        CEIError: whatever is wrong with it, in one line.
+    """
+
+    def __init__(
+        self,
+        repo_id: str,
+        root: str | Path,
+        *,
+        embodiment: str | None = None,
+        T_world_base: np.ndarray | None = None,
+        calibration: Calibration | None = None,
+        joint_map: JointMap | None = None,
+    ) -> None:
+        self.repo_id, self.root = repo_id, Path(root)
+        if joint_map is None:
+            raise CEIError(f"{root} does not say what its columns are; say it with --joint_map.")
+        if joint_map.fps is None:
+            raise CEIError(f"{root} does not say how many frames a second it has; the joint map can, by fps: 20.")
+        self.fps = joint_map.fps
+        self.embodiment = embodiment_without_metadata(self.root, embodiment)
+        self.scene = scene_without_metadata(T_world_base, calibration)
+        self._state, self._bounds = _state(self.root)
+        self._cloud = _array(self.root, _CLOUD, ndim=3) if _has(self.root, _CLOUD) else None
+        self.has_clouds = self._cloud is not None
+        self._bound = bind(joint_map, self.embodiment, [str(i) for i in range(self._state.shape[1])])
+
+    def __len__(self) -> int:
+        return len(self._bounds) - 1
+
+    def frames(self, index: int) -> int:
+        """Frames of an episode, without reading it."""
+        return int(self._bounds[index + 1] - self._bounds[index])
+
+    def read(self, index: int, *, clouds: bool = True, colours: bool = True) -> Demonstration:
+        """One episode; see `Source.read`."""
+        self.select([index])
+        rows, cloud = slice(self._bounds[index], self._bounds[index + 1]), None
+        try:
+            state = self._state[rows]
+            if clouds and self._cloud is not None:
+                cloud = check_cloud(self._cloud[rows], len(state), f"episode {index}")
+        except (OSError, ValueError, RuntimeError) as error:
+            if isinstance(error, CEIError):
+                raise
+            raise CEIError(f"{self.root}, episode {index}, cannot be read ({one_line(error)}).") from error
+        joints = self.joints(state, None, index, self._bound)
+        return Demonstration(
+            embodiment=self.embodiment.name,
+            fps=self.fps,
+            qpos=joints.qpos,
+            action=joints.action,
+            scene=self.scene,
+            point_cloud_world=cloud,
+            index=index,
+            figures=joints.figures,
+        )
+
+
+def recordings(root: Path, most: int) -> Recordings:
+    """Columns of `data/state`, of some episodes.
+
+    Raises:
+        CEIError: it cannot be read.
+    """
+    state, bounds = _state(root)
+    chosen = spread(len(bounds) - 1, most)
+    episodes = [Recording(state[bounds[i] : bounds[i + 1]].astype(float)) for i in chosen]
+    return Recordings([str(i) for i in range(state.shape[1])], None, episodes, len(bounds) - 1)
+
+
+def _state(root: Path) -> tuple[Any, np.ndarray]:
+    """`data/state`, and where its episodes begin and end."""
+    state, ends = _array(root, _STATE, ndim=2), _array(root, _ENDS, ndim=1)[:]
+    bounds = np.concatenate([[0], ends]).astype(np.int64)
+    if not len(ends) or (np.diff(bounds) <= 0).any() or bounds[-1] != state.shape[0]:
+        raise CEIError(f"{root}: {_ENDS} should rise to the {state.shape[0]} frames of {_STATE}, not {ends}.")
+    return state, bounds
+
+
+def _has(root: Path, name: str) -> bool:
+    return any((root / name / mark).is_file() for mark in (".zarray", "zarr.json"))
+
+
+def _array(root: Path, name: str, ndim: int) -> Any:
+    import zarr
+
+    if not _has(root, name):
+        raise CEIError(f"{root} has no {name}; of zarr groups, those of DP3 and DemoGen are read.")
+    try:
+        array = zarr.open_array(root / name, mode="r")
+    except Exception as error:  # zarr raises many kinds on damaged metadata
+        raise CEIError(f"{root / name} cannot be read ({one_line(error)}).") from error
+    if array.dtype.kind not in "fiu" or array.ndim != ndim:  # objects would be pickles
+        raise CEIError(f"{root / name} should have {ndim} dimensions of numbers, not {array.ndim} of {array.dtype}.")
+    return array
