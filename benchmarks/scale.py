@@ -1,10 +1,11 @@
 """How a conversion's time and memory grow with the dataset: 100, 1,000 and 10,000 demonstrations of 105 frames.
 
 usage: python benchmarks/scale.py [--target IIWA-Inspire] [--demonstrations 100 1000 10000] [--work DIR] [--results DIR]
+       python benchmarks/scale.py --workers 400
 
-The demonstrations are those of `transfer.py`, repeated; 10,000 of them are a million frames, and need 40 GB of disk and an hour. Each
-number is converted in a process of its own, then `--workers` of them by one worker and by two. Between two numbers, the slope:
-seconds and kilobytes that one more demonstration takes. Writes scale.json.
+The demonstrations are those of `transfer.py`, repeated; 10,000 of them are a million frames, and need 40 GB of disk and 45 minutes.
+Each number is converted in a process of its own. Between two numbers, the slope: seconds and kilobytes that one more demonstration
+takes. Writes scale.json. With `--workers`, so many are converted by one worker and by two instead, in turn: workers.json.
 """
 
 import argparse
@@ -58,20 +59,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--target", default="IIWA-Inspire")
     parser.add_argument("--demonstrations", type=int, nargs="+", default=[100, 1000, 10000])
-    parser.add_argument("--workers", type=int, default=400, help="demonstrations converted by one worker and by two")
+    parser.add_argument("--workers", type=int, help="compare one worker with two, on so many demonstrations")
     parser.add_argument("--work", type=Path, help="folder for datasets; default: a temporary one")
     parser.add_argument("--results", type=Path, default=Path("results/transfer"))
     args = parser.parse_args()
+    jobs = [(args.workers, n) for n in (1, 2, 1, 2)] if args.workers else [(n, 2) for n in sorted(args.demonstrations)]
     with tempfile.TemporaryDirectory(dir=args.work) as folder:
         root = Path(folder) / "source"
-        write(root, record(range(10)), max(*args.demonstrations, args.workers))
-        workers = [converted(root, args.target, args.workers, n) for n in (1, 2) if args.workers]
-        sizes = [converted(root, args.target, count, 2) for count in sorted(args.demonstrations)]
-    slopes = [slope(fewer, more) for fewer, more in pairwise(sizes)]
+        write(root, record(range(10)), max(count for count, _ in jobs))
+        rows = [converted(root, args.target, count, workers) for count, workers in jobs]
+    result = {"source": SOURCE, "target": args.target, "frames": FRAMES, "cores": os.cpu_count(), "conversions": rows}
+    if args.workers:
+        save(args.results / "workers.json", result)
+        return
+    slopes = [slope(fewer, more) for fewer, more in pairwise(rows)]
     for row in slopes:
         print("  ".join(f"{name} {value}" for name, value in row.items()))
-    result = {"source": SOURCE, "target": args.target, "frames": FRAMES, "cores": os.cpu_count()}
-    save(args.results / "scale.json", result | {"workers": workers, "conversions": sizes, "slopes": slopes})
+    save(args.results / "scale.json", result | {"slopes": slopes})
 
 
 if __name__ == "__main__":
