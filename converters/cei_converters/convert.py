@@ -259,6 +259,6 @@ def main(args: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    from cei_converters.convert import main  # not __main__'s: workers get what it sends by name
+    import cei_converters.convert  # not __main__: workers get what it sends by name
 
-    raise SystemExit(main())
+    raise SystemExit(cei_converters.convert.main())

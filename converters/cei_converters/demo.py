@@ -3,10 +3,11 @@
 import shutil
 from pathlib import Path
 
-from cei_converters.cli import DatasetConfig, quiet_libraries
-from cei_converters.convert import ConvertConfig, convert
+from cei_converters.cli import DatasetConfig, SourceConfig, quiet_libraries
+from cei_converters.conversion.config import ConvertConfig
+from cei_converters.convert import convert
 from cei_converters.record import RecordConfig, record
-from cei_converters.replay import ReplayConfig, SourceConfig, replay
+from cei_converters.replay import ReplayConfig, replay
 from cei_converters.report import write_report
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.demonstration import Demonstration

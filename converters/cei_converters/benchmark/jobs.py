@@ -8,7 +8,8 @@ from typing import Any
 
 from cei_converters.benchmark.cells import SOURCE, VARIANTS, Cell
 from cei_converters.cli import DatasetConfig, parse
-from cei_converters.convert import ConvertConfig, convert
+from cei_converters.conversion.config import ConvertConfig
+from cei_converters.convert import convert
 from cei_converters.dataset.metadata import METADATA_PATH, Metadata
 from cei_converters.dataset.provenance import git_commit
 from cei_converters.dataset.records import Records

@@ -14,7 +14,8 @@ import numpy as np
 
 from cei_converters.benchmark.cells import SOURCE
 from cei_converters.cli import parse
-from cei_converters.convert import ConvertConfig, convert
+from cei_converters.conversion.config import ConvertConfig
+from cei_converters.convert import convert
 from cei_converters.record import RecordConfig, record
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.errors import CEIError
