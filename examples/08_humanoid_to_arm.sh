@@ -9,9 +9,10 @@ export CEI_GYM_EMBODIMENTS=$here/gr1 # robots of one's own: arms/GR1Right.yaml, 
 
 cei-inspect --dataset.repo_id=nvidia/gr1 --dataset.root="$source" --joint_map="$here/gr1/joint_map.yaml"
 
+# --target_pose: 30 cm to the left of where the humanoid stands, whose right hand rests too near to its own body for another arm.
 # --transfer.stretch=1: frames do not repeat, so that the video passes through as it is.
 cei-convert --dataset.repo_id=nvidia/gr1 --dataset.root="$source" --joint_map="$here/gr1/joint_map.yaml" \
-    --target="$target" --new_repo_id=me/gr1 --new_root=outputs/gr1 --transfer.stretch=1 --allow_unreachable
+    --target="$target" --target_pose=0,0.3,0 --new_repo_id=me/gr1 --new_root=outputs/gr1 --transfer.stretch=1 --allow_unreachable
 
 cei-view --dataset.repo_id=me/gr1 --dataset.root=outputs/gr1 --episode=1 \
     --source.repo_id=nvidia/gr1 --source.root="$source" --source.joint_map="$here/gr1/joint_map.yaml" --sheet=outputs/gr1.png
