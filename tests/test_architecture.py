@@ -112,7 +112,10 @@ def test_lower_parts_of_a_package_do_not_know_the_upper_ones(package: str) -> No
 
 
 def test_every_part_of_the_converters_has_its_layer() -> None:
-    parts = {path.stem for path in PACKAGES["cei_converters"].glob("[a-z]*")}
+    package = PACKAGES["cei_converters"]
+    parts = {path.stem for path in package.glob("[a-z]*.py")} | {
+        path.parent.name for path in package.glob("*/__init__.py")
+    }
     assert parts == set(LAYERS["cei_converters"])
 
 
