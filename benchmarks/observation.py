@@ -131,7 +131,8 @@ def measure(env: gym.Env, view: str, width: int, height: int, repeats: int) -> l
     def obvious_thin(some: np.ndarray) -> np.ndarray:
         chosen, gap = [0], np.full(len(some), np.inf)
         while len(chosen) < 1024:
-            gap = np.minimum(gap, np.square(some - some[chosen[-1]]).sum(axis=1))
+            away = some - some[chosen[-1]]
+            gap = np.minimum(gap, np.einsum("ni,ni->n", away, away))
             chosen.append(int(gap.argmax()))
         return some[chosen]
 
