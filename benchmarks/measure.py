@@ -1,7 +1,10 @@
 """What several benchmarks need: a clock, MuJoCo's own renderer where there is a GL library, a file for their results."""
 
+import contextlib
 import importlib
 import json
+import os
+import platform
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
@@ -38,7 +41,16 @@ def use_gl() -> bool:
 
 
 def save(path: Path, result: dict) -> None:
-    """Write a result as JSON, with the versions and the commit that gave it."""
+    """Write a result as JSON, with the machine, the versions and the commit that gave it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    made_by = {"versions": versions((*PACKAGES, "numba", "lerobot_policy_dp3")), "commit": git_commit()}
+    made_by = {"cpu": cpu(), "versions": versions((*PACKAGES, "numba", "lerobot_policy_dp3")), "commit": git_commit()}
     path.write_text(json.dumps(result | made_by, indent=1) + "\n")
+
+
+def cpu() -> str:
+    """Cores and model of this machine's processor."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return f"{os.cpu_count()} x {line.partition(':')[2].strip()}"
+    return f"{os.cpu_count()} x {platform.processor()}"
