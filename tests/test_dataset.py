@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from lerobot.utils.utils import flatten_dict
 
 from cei_converters.dataset import schema
-from cei_converters.dataset.card import source_license
 from cei_converters.dataset.columns import encode
+from cei_converters.dataset.license import source_license
 from cei_converters.dataset.metadata import Environment, Metadata, Source
 from cei_converters.dataset.provenance import collect, command_line, fingerprint
 from cei_converters.dataset.records import Records

@@ -150,4 +150,6 @@ def test_it_converts_hand_to_gripper_and_hand_to_hand(
         shown = (dataset[t][EYE].permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
         np.testing.assert_array_equal(shown, recorded[t])
     card = (root / "README.md").read_text()
+    assert "| license of the source | `LICENSE` |" in card
+    assert "Apache License" in (root / "LICENSE").read_text()
     assert "still show" in card and EYE in card

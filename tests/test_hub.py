@@ -16,8 +16,9 @@ import yaml
 from hub_server import TOKEN, Hub, Refused, Repository
 
 from cei_converters import convert
-from cei_converters.dataset.card import LICENSE, source_license, write_card
+from cei_converters.dataset.card import write_card
 from cei_converters.dataset.hub import push
+from cei_converters.dataset.license import FIELDS, copy_license_files, source_license
 from cei_converters.dataset.metadata import Metadata
 from cei_gym.errors import CEIError
 
@@ -279,7 +280,7 @@ def test_licenses_are_carried_over_and_never_invented(license: dict[str, Any], d
     shutil.copytree(dataset / "meta", tmp_path / "meta")
     metadata = Metadata.load(dataset)
     assert metadata.provenance.source is not None
-    origin = replace(metadata.provenance.source, **(dict.fromkeys(LICENSE) | license))
+    origin = replace(metadata.provenance.source, **(dict.fromkeys(FIELDS) | license))
     replace(metadata, provenance=replace(metadata.provenance, source=origin)).save(tmp_path)
     write_card(tmp_path, NAME, Metadata.load(tmp_path))
     assert source_license(tmp_path) == license
@@ -288,3 +289,22 @@ def test_licenses_are_carried_over_and_never_invented(license: dict[str, Any], d
     assert ("none is named" in row) == (not license)
     if "license_link" in license:
         assert license["license_link"] in row
+
+
+def test_license_files_are_carried_over_but_no_links_to_what_is_not_the_datasets(tmp_path: Path) -> None:
+    cache, root, made = tmp_path / "datasets--me--pick", tmp_path / "pick", tmp_path / "made"
+    snapshot = cache / "snapshots" / "abc"
+    for folder in (cache / "blobs", snapshot, root, made):
+        folder.mkdir(parents=True)
+    (tmp_path / "secret").write_text("secret")
+    (cache / "blobs/1").write_text("its license")
+    (snapshot / "LICENSE").symlink_to("../../blobs/1")  # as the hub's cache has files
+    (snapshot / "NOTICE").symlink_to("../../../secret")
+    (root / "LICENSE.txt").write_text("another")
+    (root / "NOTICE").symlink_to(tmp_path / "secret")
+    copy_license_files(snapshot, made)
+    copy_license_files(root, made)
+    assert {path.name: path.read_text() for path in made.iterdir()} == {
+        "LICENSE": "its license",
+        "LICENSE.txt": "another",
+    }

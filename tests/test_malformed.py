@@ -15,7 +15,7 @@ import pytest
 from malformed import CARD, LAUGHS, Case, corpus, write_dataset, write_hand
 
 from cei_converters import cli, convert, pads, replay
-from cei_converters.dataset.card import source_license
+from cei_converters.dataset.license import source_license
 from cei_converters.sources.reader import DatasetReader
 
 CASES = corpus(seed=0)

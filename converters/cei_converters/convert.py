@@ -215,7 +215,7 @@ def _about_cameras(reader: "Recorded", pass_through: bool) -> str:
 
 
 def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
-    from cei_converters.dataset.card import source_license
+    from cei_converters.dataset.license import source_license
     from cei_converters.dataset.metadata import Source
     from cei_converters.dataset.provenance import collect, fingerprint
     from cei_converters.sources.joint_map import load_joint_map

@@ -12,6 +12,7 @@ from cei_converters.conversion.quality_picture import write_summary
 from cei_converters.conversion.shard import Shard
 from cei_converters.conversion.workplace import Workplace
 from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.license import copy_license_files
 from cei_converters.dataset.metadata import PICTURE_PATH, Environment, Provenance, plain
 from cei_converters.dataset.writer import DatasetWriter
 from cei_gym.transfer import Transfer
@@ -53,6 +54,7 @@ def assemble(place: Workplace, plan: Plan, converter: Converter, told: Account) 
                     writer.append(converted.header, converted.encoded, outcome["record"], pictures)
                     starts[outcome["mode"]].append(outcome["start_qpos"])
         writer.environment = _with_start(writer.environment, starts)
+        copy_license_files(reader.root, place.dataset)
         write_summary(place.dataset / PICTURE_PATH, outcomes(place, plan), config.gate, converter)
 
 

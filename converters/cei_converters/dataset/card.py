@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from cei_converters.dataset import schema
+from cei_converters.dataset.license import CARD_PATH, FIELDS, license_files
 from cei_converters.dataset.metadata import METADATA_PATH, PICTURE_PATH, Metadata, Source
 from cei_converters.dataset.records import RECORDS_PATH, Record, Records
-from cei_gym.untrusted import load_yaml
 
-CARD_PATH = "README.md"
 PARTS = (
     "An episode's quality, from 0 to 1, is that of its worst part: `residual` (how far pads are from the source's), `limits` "
     "(frames with a joint of the arm at a limit), `jumps` (joints faster than they can be), `clearance` (how deep the robot is in "
@@ -28,22 +27,6 @@ CITATION = """@article{wu2026cei,
 }"""
 
 
-LICENSE = ("license", "license_name", "license_link")
-
-
-def source_license(root: Path) -> dict[str, Any]:
-    """What a dataset's own card says of its license, by the names in LICENSE; empty if it says nothing."""
-    path = root / CARD_PATH
-    if not path.is_file():
-        return {}
-    try:
-        _, head, _ = path.read_text().split("---\n", 2)
-        data = load_yaml(head)
-    except ValueError:  # CEIError, too: a broken card is the source's affair
-        return {}
-    return {name: data[name] for name in LICENSE if name in data} if isinstance(data, dict) else {}
-
-
 def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     """Write README.md into a finished dataset."""
     from huggingface_hub import DatasetCard, DatasetCardData
@@ -51,7 +34,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     info, records = json.loads((root / "meta/info.json").read_text()), Records(root)
     source = metadata.provenance.source
     data = DatasetCardData(
-        **{name: getattr(source, name) for name in LICENSE if source is not None},
+        **{name: getattr(source, name) for name in FIELDS if source is not None},
         tags=["LeRobot", "cei-gym", "cross-embodiment", metadata.embodiment],
         task_categories=["robotics"],
         source_datasets=[source.repo_id] if source else None,
@@ -65,7 +48,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
         _cameras(metadata, info, records),
         _layout(metadata, info),
         _usage(repo_id, metadata),
-        _provenance(metadata),
+        _provenance(root, metadata),
         f"## Citation\n\nThe method is that of\n\n```bibtex\n{CITATION}\n```",
     ]
     body = "\n\n".join(section for section in sections if section)
@@ -243,7 +226,7 @@ lerobot-train --dataset.repo_id={repo_id} --policy.type=<policy> --output_dir=ou
 ```{replay}"""
 
 
-def _provenance(metadata: Metadata) -> str:
+def _provenance(root: Path, metadata: Metadata) -> str:
     provenance = metadata.provenance
     parts = ["## How it was made"]
     if provenance.command:
@@ -251,18 +234,18 @@ def _provenance(metadata: Metadata) -> str:
     rows: list[tuple[Any, ...]] = [("date", provenance.date)] if provenance.date else []
     if provenance.git_commit:
         rows.append(("commit of CEI-Gym", provenance.git_commit))
-    rows += _source_rows(provenance.source)
+    rows += _source_rows(provenance.source, [path.name for path in license_files(root)])
     rows += [(f"version of {name}", value) for name, value in provenance.versions.items()]
     rows += [(f"`--{name}`", f"`{value}`") for name, value in _flat(provenance.options)]
     parts.append(_table(("", ""), rows))
     return "\n\n".join(parts)
 
 
-def _source_rows(source: Source | None) -> list[tuple[Any, ...]]:
+def _source_rows(source: Source | None, files: list[str]) -> list[tuple[Any, ...]]:
     if source is None:
         return []
     licenses = source.license if isinstance(source.license, list) else [source.license]
-    named = [each for each in (*licenses, source.license_name, source.license_link) if each]
+    named = [each for each in (*licenses, source.license_name, source.license_link, *files) if each]
     rows = [
         ("source", source.repo_id),
         ("source revision", source.revision),

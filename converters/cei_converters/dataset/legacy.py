@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from cei_converters.dataset.license import CARD_PATH, copy_license_files, own_file
 from cei_gym.errors import CEIError, one_line
 
 VERSIONS = ("v2.0", "v2.1")
 _META = ("episodes.jsonl", "tasks.jsonl", "episodes_stats.jsonl")
-_KEPT = ("README.md", "LICENSE", "meta/modality.json")
+_KEPT = (CARD_PATH, "meta/modality.json")
 
 
 def upgrade(root: Path, version: str) -> Path:
@@ -52,8 +53,9 @@ def upgrade(root: Path, version: str) -> Path:
                 f"{root} cannot be converted to v3.0 ({type(error).__name__}: {one_line(error)}); convert it with the LeRobot "
                 "version that recorded it, then with `python -m lerobot.scripts.convert_dataset_v21_to_v30`."
             ) from error
+        copy_license_files(root, made)
         for name in _KEPT:
-            if (root / name).is_file():
+            if own_file(root, root / name):
                 shutil.copyfile(root / name, made / name)
         try:
             made.rename(upgraded)

@@ -64,7 +64,7 @@ def _cached_or_downloaded(repo_id: str, revision: str | None) -> Path:
     from lerobot.datasets.dataset_metadata import CODEBASE_VERSION
 
     def download(revision: str) -> Path:
-        patterns = ["meta/*", "data/*", "videos/*", "README.md"]
+        patterns = ["meta/*", "data/*", "videos/*", "README.md", "LICENSE*", "NOTICE*"]
         cache = {"cache_dir": HF_LEROBOT_HUB_CACHE, "allow_patterns": patterns}
         return Path(snapshot_download(repo_id, repo_type="dataset", revision=revision, **cache))
 

@@ -1,0 +1,44 @@
+"""Licenses: carried over from a dataset to what is made of it, as they are; never invented."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from cei_gym.untrusted import load_yaml
+
+CARD_PATH = "README.md"
+FIELDS = ("license", "license_name", "license_link")
+"""Of a card, about its license."""
+_FILES = tuple(f"{name}{suffix}" for name in ("LICENSE", "NOTICE") for suffix in ("", ".txt", ".md"))
+
+
+def source_license(root: Path) -> dict[str, Any]:
+    """What a dataset's own card says of its license, by the names in FIELDS; empty if it says nothing."""
+    path = root / CARD_PATH
+    if not path.is_file():
+        return {}
+    try:
+        _, head, _ = path.read_text().split("---\n", 2)
+        data = load_yaml(head)
+    except ValueError:  # CEIError, too: a broken card is the source's affair
+        return {}
+    return {name: data[name] for name in FIELDS if name in data} if isinstance(data, dict) else {}
+
+
+def license_files(root: Path) -> list[Path]:
+    """A dataset's files with the text of its license."""
+    return [root / name for name in _FILES if own_file(root, root / name)]
+
+
+def copy_license_files(root: Path, to: Path) -> None:
+    """Copy them beside what was made of the dataset."""
+    for path in license_files(root):
+        shutil.copyfile(path, to / path.name)
+
+
+def own_file(root: Path, path: Path) -> bool:
+    """Whether a file is a dataset's, and no link to somebody's else. Those of the hub's cache are links to its blobs."""
+    home = root.resolve()
+    if home.parent.name == "snapshots":
+        home = home.parents[1]
+    return path.is_file() and path.resolve().is_relative_to(home)
