@@ -15,7 +15,7 @@ import pytest
 import yaml
 from hub_server import TOKEN, Hub, Refused, Repository
 
-from cei_converters import convert
+from cei_converters import convert, record
 from cei_converters.dataset.card import write_card
 from cei_converters.dataset.hub import push
 from cei_converters.dataset.license import FIELDS, copy_license_files, source_license
@@ -241,6 +241,15 @@ def test_an_upload_that_is_refused_goes_on(hub: Hub, source: Path, tmp_path: Pat
     assert convert.main([*args, "--resume"]) == 0
     assert holds(hub.repositories[NAME], tmp_path / "out", "try")
     assert not stored(hub)
+    assert "v3.0" not in hub.repositories[NAME].tags
+
+
+def test_a_recording_goes_to_a_branch(hub: Hub, tmp_path: Path) -> None:
+    root = tmp_path / "pick"
+    args = ["--env=CEI-PickCube-Panda-PandaGripper", "--episodes=1", f"--repo_id={NAME}", f"--root={root}"]
+    assert record.main([*args, "--branch=raw"]) == 1
+    assert record.main([*args, "--push_to_hub", "--branch=raw"]) == 0
+    assert holds(hub.repositories[NAME], root, "raw")
     assert "v3.0" not in hub.repositories[NAME].tags
 
 

@@ -34,6 +34,8 @@ class RecordConfig:
     teleop: str | None = None  # Demonstrate by hand, with keyboard or spacemouse; default: the scripted expert does.
     push_to_hub: bool = False  # Upload the dataset.
     private: bool = False  # Make the uploaded dataset private.
+    branch: str | None = None  # Upload to this branch, made if there is none; default: main.
+    pull_request: bool = False  # Upload to a pull request.
     json: str | None = None  # File for the result as JSON.
 
 
@@ -49,7 +51,7 @@ def record(config: RecordConfig) -> dict[str, Any]:
     """
     from cei_converters.cli.progress import progress_bar
     from cei_converters.cli.result import check_json_path, write_json
-    from cei_converters.dataset.hub import check_login, check_repo_id, push
+    from cei_converters.dataset.hub import check_destination, check_repo_id, push
     from cei_converters.dataset.metadata import Environment
     from cei_converters.dataset.provenance import collect
     from cei_converters.dataset.writer import DatasetWriter
@@ -61,8 +63,7 @@ def record(config: RecordConfig) -> dict[str, Any]:
         raise CEIError(f"--variation={config.variation}: from 0 to 1.")
     check_repo_id(config.repo_id)
     check_json_path(config.json)
-    if config.push_to_hub:
-        check_login()
+    check_destination(config.push_to_hub, config.branch, config.pull_request)
     given = {"cameras": config.cameras, "depth_noise": config.depth_noise}
     kwargs = {name: value for name, value in given.items() if value is not None}
     if config.colours:
@@ -109,7 +110,8 @@ def record(config: RecordConfig) -> dict[str, Any]:
         named = ", ".join(f"seed {r['seed']} ({r['failure']})" for r in failed)
         raise CEIError(f"the expert failed {len(failed)} of {len(results)} times; left out: {named}.")
     if config.push_to_hub:
-        print(f"Uploaded to {push(writer.root, config.repo_id, private=config.private)}.")
+        to = {"private": config.private, "branch": config.branch, "pull_request": config.pull_request}
+        print(f"Uploaded to {push(writer.root, config.repo_id, **to)}.")
     return result
 
 
