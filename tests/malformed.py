@@ -916,7 +916,12 @@ def _cei() -> Iterator[Case]:
             has(file, "environment", value=value),
             "environment" if value != {"x": 1} else "x",
         )
-    yield case("episodes are in it", has(file, "episodes", value=[]), "episodes")
+
+    def no_records(folder: Path) -> None:
+        (folder / RECORDS).unlink()
+
+    for value in (None, "x", [5], [None], ["x"], [[1]], {}):  # where format 1.0 has them
+        yield case(f"episodes is {value!r}", both(no_records, has(file, "episodes", value=value)), "episodes")
     for value in (None, "x", {"source": 5}, {"source": {}}):
         yield case(f"provenance is {value!r}", has(file, "provenance", value=value), "provenance")
 

@@ -1,6 +1,7 @@
 """Datasets are what stock LeRobot loads, lose nothing, and are written whole or not at all."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from cei_converters.dataset.columns import encode
 from cei_converters.dataset.license import source_license
 from cei_converters.dataset.metadata import Environment, Metadata, Source
 from cei_converters.dataset.provenance import collect, command_line, fingerprint
-from cei_converters.dataset.records import Records
+from cei_converters.dataset.records import RECORDS_PATH, Records
 from cei_converters.dataset.rows import EPISODE, read_rows
 from cei_converters.dataset.writer import DatasetWriter
 from cei_converters.sources.reader import DatasetReader
@@ -196,6 +197,17 @@ def test_metadata_round_trips(root: Path) -> None:
     np.testing.assert_array_equal(metadata.scene.cameras[1].K, EPISODES[0].scene.cameras[1].K)
     raw = json.loads((root / "meta/cei.json").read_text())
     assert "y down" in raw["conventions"]["camera"]
+
+
+def test_records_of_format_1_0_are_read(root: Path, tmp_path: Path) -> None:
+    shutil.copytree(root, tmp_path / "older")
+    records, path = tmp_path / "older" / RECORDS_PATH, tmp_path / "older/meta/cei.json"
+    known = list(Records(root))
+    records.unlink()
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"format_version": "1.0", "episodes": known}))
+    reader = DatasetReader(REPO_ID, tmp_path / "older")
+    assert [reader.record(i) for i in range(len(known))] == known
+    assert reader.metadata is not None and reader.metadata.environment == Metadata.load(root).environment
 
 
 def test_card_is_complete(root: Path) -> None:

@@ -16,9 +16,11 @@ from cei_gym.demonstration import Scene
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json
 
-FORMAT_VERSION = "1.0"
+FORMAT_VERSION = "1.1"
 METADATA_PATH = "meta/cei.json"
 PICTURE_PATH = "meta/quality.png"
+RECORDS_OF_1_0 = "episodes"
+"""Where format 1.0 has what `records` has now."""
 REQUIRED = "embodiment, scene.T_world_base, scene.cameras (name, width, height, K, T_world_camera)"
 CONVENTIONS = {
     "world": "right-handed, z up, metres",
@@ -102,6 +104,7 @@ class Metadata:
         version = str(raw.get("format_version"))
         if version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
             raise CEIError(f"{where}: format_version is {version}, this program reads {FORMAT_VERSION}.")
+        raw.pop(RECORDS_OF_1_0, None)
         try:
             metadata = draccus.decode(cls, raw)
         except DraccusException as error:

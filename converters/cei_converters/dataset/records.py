@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self, overload
 
-from cei_converters.dataset.metadata import plain
+from cei_converters.dataset.metadata import METADATA_PATH, RECORDS_OF_1_0, plain
 from cei_gym.errors import CEIError
 from cei_gym.untrusted import load_json
 
@@ -68,6 +68,20 @@ class Records(Sequence[Record]):
         if not isinstance(record, dict):
             raise CEIError(f"{where} should be a JSON object.")
         return record
+
+
+def load_records(root: Path) -> Sequence[Record]:
+    """Those of a dataset, of format 1.0 too, which has them in `meta/cei.json`.
+
+    Raises:
+        CEIError: as `Records`.
+    """
+    if (root / RECORDS_PATH).exists() or not (root / METADATA_PATH).is_file():
+        return Records(root)
+    older = load_json((root / METADATA_PATH).read_text()).get(RECORDS_OF_1_0, [])
+    if not isinstance(older, list) or not all(isinstance(record, dict) for record in older):
+        raise CEIError(f"{root / METADATA_PATH}: {RECORDS_OF_1_0} should be JSON objects.")
+    return older
 
 
 class RecordWriter:

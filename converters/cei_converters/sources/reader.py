@@ -13,7 +13,7 @@ from cei_converters.dataset.decoding import decode_frames, decode_pictures
 from cei_converters.dataset.depth import camera_name, check_depth_feature, image_depth_m, video_depth_m
 from cei_converters.dataset.locate import locate
 from cei_converters.dataset.opening import choose_embodiment, load_lerobot_metadata, load_metadata
-from cei_converters.dataset.records import Records
+from cei_converters.dataset.records import load_records
 from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.joint_map import BoundJointMap, JointMap, bind
 from cei_converters.sources.recording import Recording, Recordings, spread
@@ -54,7 +54,7 @@ class DatasetReader(Source):
         self.repo_id = repo_id
         self.root = locate(repo_id, root)
         self.metadata = load_metadata(self.root, embodiment)
-        self.records = Records(self.root)
+        self.records = load_records(self.root)
         self.embodiment = choose_embodiment(self.root, self.metadata, embodiment)
         scene = self.metadata.scene if self.metadata is not None else scene_without_metadata(T_world_base, calibration)
         self.scene = scene if calibration is None else calibration.over(scene)
