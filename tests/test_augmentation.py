@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_resume import same
 
-from cei_converters import convert, record, replay
+from cei_converters import convert, record, replay, view
 from cei_converters.conversion import shard
 from cei_converters.conversion.augment import Augmentation, AugmentOptions
 from cei_converters.dataset import schema
@@ -238,6 +238,14 @@ def test_every_episode_becomes_one_for_each_place(augmented: Path) -> None:
     counted = json.loads(Path(f"{augmented}.json").read_text())["augment"]
     assert counted == {"episodes": 8, "kept": 8, "left_out": {}}
     assert "2 recorded episodes became 8" in (augmented / "README.md").read_text()
+
+
+def test_an_episode_is_shown_beside_its_source_without_residuals(source: Path, augmented: Path, tmp_path: Path) -> None:
+    shown = ["--dataset.repo_id=me/out", f"--dataset.root={augmented}", "--episode=5"]
+    beside = ["--source.repo_id=me/pick", f"--source.root={source}"]
+    assert view.main([*shown, *beside, f"--sheet={tmp_path / 'x.png'}", f"--json={tmp_path / 'x.json'}"]) == 0
+    assert (tmp_path / "x.png").stat().st_size > 1000
+    assert json.loads((tmp_path / "x.json").read_text())["residuals"] == {}  # its pads are not where the source's were
 
 
 def test_it_is_the_same_however_it_is_cut_and_interrupted(
