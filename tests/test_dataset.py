@@ -15,6 +15,7 @@ from lerobot.utils.utils import flatten_dict
 
 from cei_converters.dataset import schema
 from cei_converters.dataset.columns import encode
+from cei_converters.dataset.episodes import EpisodeWriter
 from cei_converters.dataset.license import source_license
 from cei_converters.dataset.metadata import Environment, Metadata, Source
 from cei_converters.dataset.provenance import collect, command_line, fingerprint
@@ -133,6 +134,29 @@ def test_large_datasets_go_into_several_files(tmp_path: Path, monkeypatch: pytes
     assert len(LeRobotDataset(REPO_ID, tmp_path / "pick")) == 19
     reader = DatasetReader(REPO_ID, tmp_path / "pick")
     np.testing.assert_array_equal(reader.read(2).point_cloud_world, EPISODES[0].point_cloud_world)
+
+
+@pytest.mark.parametrize("lost", ["file", "end", "episode"])
+def test_what_a_disk_loses_is_not_published(lost: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def finalize(self: EpisodeWriter) -> None:
+        completed(self)
+        for path in self._meta.root.glob("data/*/*.parquet"):
+            if lost == "file":
+                path.unlink()
+            elif lost == "end":
+                path.write_bytes(path.read_bytes()[:-8])
+            else:
+                pq.write_table(pq.ParquetFile(path).read_row_group(0), path)
+
+    completed = EpisodeWriter.finalize
+    monkeypatch.setattr(EpisodeWriter, "finalize", finalize)
+    with (
+        pytest.raises(OSError, match=r"that were written|cannot be read back"),
+        DatasetWriter(REPO_ID, tmp_path / "x") as w,
+    ):
+        for episode in EPISODES:
+            w.add(episode)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_read_back_equals_what_was_written(root: Path) -> None:

@@ -119,6 +119,20 @@ class EpisodeWriter:
         self._close_file()
         self._meta.finalize()
 
+    def check(self) -> None:
+        """Check that completed files can be read, and have all rows that were written.
+
+        Raises:
+            OSError: they cannot, or have not.
+        """
+        for folder, expected in (("data", self._meta.total_frames), ("meta/episodes", self._meta.total_episodes)):
+            try:
+                rows = sum(pq.read_metadata(path).num_rows for path in (self._meta.root / folder).glob("*/*.parquet"))
+            except pa.ArrowException as error:
+                raise OSError(f"what was written cannot be read back: {error}") from error
+            if rows != expected:
+                raise OSError(f"{self._meta.root / folder} has {rows} rows of the {expected} that were written.")
+
     def _write(self, table: pa.Table) -> None:
         """One row group an episode, so that a reader finds it without the others."""
         from lerobot.datasets.utils import update_chunk_file_indices

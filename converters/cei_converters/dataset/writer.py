@@ -173,6 +173,7 @@ class DatasetWriter:
         if self._header is None or self._episodes is None or self._records is None:
             raise CEIError(f"no episode was written, so {self.root} is not made.")
         self._episodes.finalize()
+        self._episodes.check()
         self._records.close()
         metadata = Metadata(
             embodiment=self._header.embodiment,
