@@ -48,7 +48,7 @@ build: setup ## Build the wheels and sdists of all distributions into dist/
 	@$(PYTHON_ENV) -m build --quiet --no-isolation --outdir dist policies
 	@ls dist/*
 
-benchmark: setup ## Run every benchmark
+benchmark: setup ## Run every benchmark (hours, and 40 GB of disk)
 	@$(PYTHON_ENV) -m cei_converters.benchmark.command replay
 	@for file in benchmarks/*.py; do echo "== $$file"; $(PYTHON_ENV) "$$file" || exit; done
 
