@@ -1,58 +1,84 @@
-"""`make demo`: record ten demonstrations on a Panda, convert them to an IIWA with an Inspire hand, replay both."""
+"""`make demo`: record demonstrations on a Panda, convert them to an IIWA with an Inspire hand, replay both, write a report."""
 
+import json
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 
-from cei_converters.cli import DatasetConfig, SourceConfig, quiet_libraries
-from cei_converters.conversion.config import ConvertConfig
-from cei_converters.convert import convert
-from cei_converters.record import RecordConfig, record
-from cei_converters.replay import ReplayConfig, replay
-from cei_converters.report import write_report
-from cei_converters.sources.reader import DatasetReader
-from cei_gym.demonstration import Demonstration
-from cei_gym.embodiment import load_embodiment
+from cei_converters.cli import DatasetConfig, SourceConfig, run
+from cei_gym.errors import CEIError
 
 SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
-EPISODES, SEED = 10, 1000
-FOLDER = Path("outputs/demo")
-
-COMMANDS = [
-    f"cei-record --env=CEI-PickCube-{SOURCE} --episodes={EPISODES} --seed={SEED} "
-    "--repo_id=me/pick_cube_panda --root=data/pick_cube_panda",
-    "cei-convert --dataset.repo_id=me/pick_cube_panda --dataset.root=data/pick_cube_panda "
-    f"--target={TARGET} --new_repo_id=me/pick_cube_iiwa --new_root=data/pick_cube_iiwa",
-    "cei-replay --dataset.repo_id=me/pick_cube_iiwa --dataset.root=data/pick_cube_iiwa "
-    "--source.repo_id=me/pick_cube_panda --source.root=data/pick_cube_panda",
-]
+EXAMPLE = """example:
+  python -m cei_converters.demo --episodes=2 --output=outputs/short_demo"""
+_MARK = ".cei-demo"
+"""Tells a folder that an earlier demo made, which this one may make anew."""
 
 
-def main() -> None:
-    """Run the demo; its folder is made anew."""
-    quiet_libraries()
-    shutil.rmtree(FOLDER, ignore_errors=True)
-    source = DatasetConfig("me/pick_cube_panda", str(FOLDER / "pick_cube_panda"))
-    target = DatasetConfig("me/pick_cube_iiwa", str(FOLDER / "pick_cube_iiwa"))
-    print(f"1/4 recording {EPISODES} demonstrations of {SOURCE}")
-    record(RecordConfig(f"CEI-PickCube-{SOURCE}", source.repo_id, source.root, EPISODES, SEED))
+@dataclass
+class DemoConfig:
+    """Move a skill from a Panda to an IIWA with an Inspire hand, and show it on one page."""
+
+    episodes: int = 10  # Demonstrations to record.
+    seed: int = 1000  # Of the first one.
+    output: str = "outputs/demo"  # Folder for the report and the datasets; that of an earlier demo is made anew.
+
+
+def commands(config: DemoConfig) -> list[str]:
+    """What does the same by hand."""
+    return [
+        f"cei-record --env=CEI-PickCube-{SOURCE} --episodes={config.episodes} --seed={config.seed} "
+        "--repo_id=me/pick_cube_panda --root=data/pick_cube_panda",
+        "cei-convert --dataset.repo_id=me/pick_cube_panda --dataset.root=data/pick_cube_panda "
+        f"--target={TARGET} --new_repo_id=me/pick_cube_iiwa --new_root=data/pick_cube_iiwa",
+        "cei-replay --dataset.repo_id=me/pick_cube_iiwa --dataset.root=data/pick_cube_iiwa "
+        "--source.repo_id=me/pick_cube_panda --source.root=data/pick_cube_panda",
+    ]
+
+
+def demo(config: DemoConfig) -> None:
+    """Run the demo, by what the commands run.
+
+    Raises:
+        CEIError: bad options, or the output is a folder that no demo has made.
+    """
+    from cei_converters.conversion.config import ConvertConfig
+    from cei_converters.convert import convert
+    from cei_converters.record import RecordConfig, record
+    from cei_converters.replay import ReplayConfig, replay
+    from cei_converters.report import write_report
+    from cei_converters.sources.reader import DatasetReader
+    from cei_gym.embodiment import load_embodiment
+
+    folder = Path(config.output)
+    if folder.exists() and not (folder / _MARK).is_file():
+        raise CEIError(f"--output={folder} exists, and no demo made it; choose another folder or remove it first.")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / _MARK).touch()
+    source = DatasetConfig("me/pick_cube_panda", str(folder / "pick_cube_panda"))
+    target = DatasetConfig("me/pick_cube_iiwa", str(folder / "pick_cube_iiwa"))
+    print(f"1/4 recording {config.episodes} demonstrations of {SOURCE}")
+    record(RecordConfig(f"CEI-PickCube-{SOURCE}", source.repo_id, source.root, config.episodes, config.seed))
     print(f"2/4 converting them for {TARGET}")
-    conversion = convert(ConvertConfig(source, TARGET, target.repo_id, target.root))
+    result = folder / "conversion.json"
+    convert(ConvertConfig(source, TARGET, target.repo_id, target.root, json=str(result)))
     print("3/4 replaying the source")
     replays = [replay(ReplayConfig(source, video_episodes=0))]
     print("4/4 replaying the target")
     beside = SourceConfig(source.repo_id, source.root)
-    replays.append(replay(ReplayConfig(target, beside, video=str(FOLDER / "side_by_side.mp4"))))
-    episodes = _first_episode(source), _first_episode(target)
+    replays.append(replay(ReplayConfig(target, beside, video=str(folder / "side_by_side.mp4"))))
+    first, second = (DatasetReader(dataset.repo_id, dataset.root).read(0) for dataset in (source, target))
     embodiments = [load_embodiment(SOURCE), load_embodiment(TARGET)]
-    write_report(FOLDER / "report.html", replays, conversion, episodes, embodiments, COMMANDS)
-    print(
-        f"\nOpen {FOLDER / 'report.html'}: {replays[1]['successes']} of {EPISODES} transferred demonstrations lift the cube."
-    )
+    report = folder / "report.html"
+    write_report(report, replays, json.loads(result.read_text()), (first, second), embodiments, commands(config))
+    print(f"\nOpen {report}: {replays[1]['successes']} of {config.episodes} transferred demonstrations lift the cube.")
 
 
-def _first_episode(dataset: DatasetConfig) -> Demonstration:
-    return DatasetReader(dataset.repo_id, dataset.root).read(0)
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `make demo`."""
+    return run(DemoConfig, demo, args, prog="python -m cei_converters.demo", example=EXAMPLE)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())
