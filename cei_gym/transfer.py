@@ -15,6 +15,7 @@ from cei_gym.alignment import (
     InitialisationOptions,
     ManualAlignment,
     Motion,
+    Reach,
     SolverOptions,
     Stream,
     Surroundings,
@@ -147,6 +148,7 @@ class Transfer:
         )
         self._source_shapes = link_shapes(source)
         self._follower = Follower(self.problem, self.solver_options, self.contact)
+        self._reach = Reach(self.problem)
         self._sides = opposing_sides(self.source_representation, self._source_tree)
         self._source_pads = None if self._sides is None else pad_shapes(self.source_representation, self._sides)
         self._root = next(i for i, name in enumerate(source.body_names) if name.startswith(END_EFFECTOR_PREFIX))
@@ -235,7 +237,8 @@ class Transfer:
             demonstration, scenes = demonstration.at(frames), [scenes[t] for t in frames] if scenes else scenes
             depth_m = attempt.squeeze * self._squeeze_m(demonstration, motion)
             closing = replace(track, u=squeeze(self.problem, track.u, depth_m))
-        qpos = self.target.coupled.expand(track.u)
+        # As datasets store and environments observe joints, so that clouds show the target just where they say.
+        qpos = self.target.coupled.expand(track.u).astype(np.float32).astype(float)
         # a_t = q_(t+1); the last frame holds.
         action = self.target.coupled.expand(np.concatenate([closing.u[1:], closing.u[-1:]]))
         base = self._base(demonstration)
@@ -325,7 +328,7 @@ class Transfer:
         return _Followed(frames, motion, track, judge(self._follower, [motion], basin.u, [track]))
 
     def _report(self, motion: Motion, track: Track) -> AlignmentReport:
-        return make_report(
+        report = make_report(
             self.problem,
             motion.points_base,
             motion.normals_base,
@@ -333,8 +336,11 @@ class Transfer:
             self.solver_options.lambda_m,
             self.options.unreachable_mm,
             motion.dt_s,
-            self._follower.penetration_m(motion, track.u),
+            self._follower.penetration(motion, track.u),
         )
+        if not report.unreachable_frames:
+            return report
+        return replace(report, miss=self._reach.explain(motion, track, int(report.pad_distance_mm.argmax())))
 
     def _specify(self, demonstration: Demonstration) -> ManualAlignment:
         """BMS with the thumb on the side from which the arm follows more closely: a person would try both."""

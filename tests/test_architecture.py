@@ -27,6 +27,7 @@ FORBIDDEN = {
 }
 # Only solvers that are asked for by name need torch: everything else works without.
 TORCH = {
+    "cei_gym/alignment/device.py",
     "cei_gym/alignment/newton_torch.py",
     "cei_gym/alignment/paper.py",
     "cei_gym/alignment/torch_model.py",

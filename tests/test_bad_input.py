@@ -106,6 +106,16 @@ def rename_joint(root: Path, position: int, name: str) -> None:
         ({"init__modes": "0"}, "init.modes=0 must be at least 1."),
         ({"init": "given"}, "init.method=given and init.qpos go together: give both or neither."),
         ({"solver__backend": "cuda"}, "unknown solver.backend 'cuda'. Valid: auto, numba, torch, paper."),
+        ({"solver__device": "gpu"}, "unknown solver.device 'gpu'. Valid: auto, cpu, cuda, mps."),
+        (
+            {"solver__device": "cuda"},
+            "solver.device=cuda is where torch computes, which solver.backend=auto does without; give solver.backend=torch, or leave "
+            "it out.",
+        ),
+        (
+            {"solver__paper__steps": "50"},
+            "--solver.paper.* are of no use without --solver.backend=paper.",
+        ),
         ({"transfer__method": "manual"}, "unknown transfer.method 'manual'. Valid: cei, bms."),
         (
             {"transfer__representation": "half"},
@@ -188,8 +198,10 @@ def test_episodes(refuse: Callable) -> None:
 
 def test_unreachable_episode(refuse: Callable) -> None:
     few = {"solver__iterations": "1", "transfer__stretch": "1"}
-    assert "IIWA-Inspire cannot reach episode 1: frame 2;" in refuse(**few)
-    assert "cannot reach episode 1: frame 2;" in refuse(dry_run="true", **few)
+    refused = refuse(**few)
+    assert "IIWA-Inspire does not follow the source in episode 1, frame 2: at frame 2 r_" in refused
+    assert " mm away: " in refused and "--allow_unreachable" in refused
+    assert "does not follow the source in episode 1, frame 2: at frame 2 r_" in refuse(dry_run="true", **few)
 
 
 def test_existing_output(refuse: Callable, tmp_path: Path) -> None:

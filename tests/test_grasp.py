@@ -44,7 +44,7 @@ from cei_gym.alignment.kernels.frame import empty_memory
 from cei_gym.alignment.kernels.target import empty_pose, make_target
 from cei_gym.alignment.links import keep_nothing_out, keep_out_links
 from cei_gym.demonstration import Demonstration, Scene
-from cei_gym.embodiment import END_EFFECTORS, Embodiment, load_embodiment
+from cei_gym.embodiment import END_EFFECTORS, Embodiment, Pad, load_embodiment
 from cei_gym.embodiment.meshes import outermost
 from cei_gym.functional import sample_representation
 from cei_gym.functional.representation import pad_mesh
@@ -140,7 +140,7 @@ def test_pads_that_do_not_face_each_other_have_no_sides(name: str, keep: list[in
     motion = Motion(*problem.place(u), u[0], grip=source_motion().grip.at(np.array([HELD])))
     refiner = GraspRefiner(problem, OPTIONS, CONTACT)
     assert refiner.refine(motion, track) is track
-    assert (refiner.overlap_m(motion, u) == 0).all()
+    assert (refiner.overlap(motion, u)[0] == 0).all()
 
 
 # -- the source's grip ---------------------------------------------------------------------------------------
@@ -331,7 +331,7 @@ def test_a_pad_touches_where_it_reaches_farthest(name: str, seed: int) -> None:
     sides = opposing_sides(problem.representation, problem.tree)
     for pad, point in zip(embodiment.end_effector.pads, points, strict=True):
         body = embodiment.body_id(pad.body)
-        vertices = body_points(data, body, np.asarray(pad_mesh(embodiment, pad).vertices))
+        vertices = body_points(data, body, pad_vertices(embodiment, pad))
         pressing = axis if sides[problem.representation.body == body][0] == 0 else -axis
         depth = vertices @ pressing
         # `outermost` leaves out what is within 2 mm of what it keeps.
@@ -348,6 +348,23 @@ def test_a_pad_touches_where_it_reaches_farthest(name: str, seed: int) -> None:
         expected = weight @ vertices / weight.sum()
         expected += (depth.max() - expected @ pressing) * pressing
         np.testing.assert_allclose(point, expected, atol=2e-4)  # compiled code leaves the tail of the weights out
+
+
+def pad_vertices(embodiment: Embodiment, pad: Pad) -> np.ndarray:
+    """(V, 3) corners of the part of a link's mesh that is pad: its vertices there, and where its edges leave that part."""
+    mesh = pad_mesh(embodiment, pad)
+    vertices = np.asarray(mesh.vertices)
+    along = vertices @ np.linalg.eigh(np.cov(vertices.T))[1][:, -1]
+    along = along if along.max() > -along.min() else -along
+    share = (along - along.min()) / np.ptp(along)
+    corners = [vertices[(share >= pad.extent[0]) & (share <= pad.extent[1])]]
+    ends = np.asarray(mesh.edges_unique)
+    for cut in pad.extent:
+        one, two = share[ends].T
+        crossed = ends[(one - cut) * (two - cut) < 0]
+        weight = (cut - share[crossed[:, :1]]) / (share[crossed[:, 1:]] - share[crossed[:, :1]])
+        corners.append(vertices[crossed[:, 0]] + weight * (vertices[crossed[:, 1]] - vertices[crossed[:, 0]]))
+    return np.concatenate(corners)
 
 
 def in_hull(point: np.ndarray, vertices: np.ndarray, slack: float = 1e-6) -> bool:
@@ -386,7 +403,7 @@ def refined(name: str, **changes) -> Track:
 def miss_m(name: str, u: np.ndarray, frame: int, meshes: bool = True) -> float:
     """How far the sides' mean contact points are from the source's, on pads placed by MuJoCo; sides as suits them.
 
-    Pads are whole meshes, or only their outermost vertices, which are what the code under test looks at.
+    Pads are all their corners, or only the outermost ones, which are what the code under test looks at.
     """
     problem, grip = problem_of(name), source_motion().grip
     embodiment, axis = problem.embodiment, grip.axis[frame]
@@ -401,7 +418,7 @@ def miss_m(name: str, u: np.ndarray, frame: int, meshes: bool = True) -> float:
         for pad in embodiment.end_effector.pads:
             body = embodiment.body_id(pad.body)
             which = 0 if sides[problem.representation.body == body][0] == first else 1
-            surface = np.asarray(pad_mesh(embodiment, pad).vertices)
+            surface = pad_vertices(embodiment, pad)
             vertices = body_points(data, body, surface if meshes else outermost(surface))
             pressing = axis if which == 0 else -axis
             depth = vertices @ pressing
@@ -560,7 +577,7 @@ def test_links_get_out_of_what_stands_in_their_way(name: str) -> None:
     assert miss_m(name, aware.u, HELD) < 0.01
     # The compiled judge: shapes somewhat larger than hulls, never smaller.
     for track, expected in zip((blind, aware), depths, strict=True):
-        found = refiner.overlap_m(motion, track.u)
+        found = refiner.overlap(motion, track.u)[0]
         assert (found > np.array(expected) - 1e-6).all()
         assert (found < np.array(expected) + 0.015).all()  # at corners, which their directions cut off late
 
@@ -586,7 +603,7 @@ def test_pads_may_be_in_what_is_gripped_and_nowhere_else() -> None:
     for grip_radius in (radius, 1e-4):
         refiner = GraspRefiner(problem, OPTIONS, replace(CONTACT, grip_radius_m=float(grip_radius)))
         around = replace(motion, surroundings=Surroundings(-0.5, post))
-        found[grip_radius] = refiner.overlap_m(around, track.u)[HELD]
+        found[grip_radius] = refiner.overlap(around, track.u)[0][HELD]
     assert found[radius] == 0
     assert found[1e-4] > 0.001
 
@@ -606,7 +623,7 @@ def test_fingers_that_hold_do_not_give_way(name: str) -> None:
     around = replace(motion, surroundings=Surroundings(-0.5, posts))
     refiner = GraspRefiner(problem, OPTIONS, replace(CONTACT, grip_radius_m=1e-4))
     aware = refiner.refine(around, free)
-    assert refiner.overlap_m(around, alone.u)[HELD + 3] > 0.003
+    assert refiner.overlap(around, alone.u)[0][HELD + 3] > 0.003
     assert np.abs(aware.u - alone.u)[: HELD + 2].max() < 1e-9
     assert np.abs(aware.u - alone.u)[HELD + 3 :].max() > 1e-4
     assert np.ptp(aware.u[HELD:, hand], axis=0).max() < 0.02

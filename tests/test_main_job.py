@@ -16,8 +16,7 @@ from cei_converters.sources.reader import DatasetReader
 from cei_envs.rollout import NEW_ROLLOUT
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
-from cei_gym.pointcloud import CloudOptions
-from cei_gym.transfer import Transfer
+from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, frame_points
 from cei_gym.wrapper import CrossEmbodimentWrapper
 from lerobot_env_cei import CEIEnvConfig
 
@@ -73,6 +72,7 @@ def test_states_and_actions_fit_the_target_and_its_limits(job: Path) -> None:
     assert target.embodiment.name == TARGET
     for i in range(EPISODES):
         before, after = source.read(i), target.read(i)
+        before = before.at(np.array(target.record(i).get("source_frames", range(len(before)))))  # the target may take longer
         assert len(before) == len(after)
         for values in (after.qpos, after.action):
             assert values.shape[1] == len(embodiment.joint_names)
@@ -116,25 +116,51 @@ def coloured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_the_wrapper_shows_live_what_the_converter_stores(coloured: Path) -> None:
-    """Bit for bit: noise, colours, millimetres, mask, samples and thinning, across a dataset on disk."""
-    reader = DatasetReader("me/coloured", coloured)
-    recorded = reader.read(0)
-    converter = Transfer(reader.embodiment, reader.embodiment)
-    stored = converter._clouds(recorded, converter._scenes(recorded), recorded.qpos)
-    assert reader.metadata is not None
-    made = reader.metadata.environment
-    assert made.id is not None
-    env = CrossEmbodimentWrapper(gym.make(made.id, **made.kwargs))
-    assert recorded.environment_state is not None
+def live(reader: DatasetReader, wrapped: bool = False):
+    """The environment of a dataset as its first episode goes, step by step: the environment, and its observation."""
+    recorded, made = reader.read(0), reader.metadata.environment if reader.metadata else None
+    assert made is not None and made.id is not None and recorded.environment_state is not None
+    env = gym.make(made.id, **made.kwargs)
+    env = CrossEmbodimentWrapper(env) if wrapped else env
     start = {"agent_pos": recorded.qpos[0], "environment_state": recorded.environment_state[0]}
-    shown = [env.reset(seed=reader.record(0)["seed"], options=start)[0]["point_cloud"]]
-    for action in recorded.action[:-1]:
-        shown.append(env.step(action.astype(np.float32))[0]["point_cloud"])
+    observation, _ = env.reset(seed=reader.record(0)["seed"], options=start)
+    for action in recorded.action:
+        yield env, observation
+        observation, *_ = env.step(action.astype(np.float32))
     env.close()
-    assert stored is not None
-    assert stored.shape[1:] == (1024, 6)
-    np.testing.assert_array_equal(np.stack(shown), stored)
+
+
+def test_what_cei_convert_has_stored_is_what_its_steps_make_of_live_images(coloured: Path, tmp_path: Path) -> None:
+    """Bit for bit: noise, colours, millimetres, mask, samples and thinning, across two datasets on disk."""
+    root = tmp_path / "target"
+    options = ["--dataset.repo_id=me/coloured", f"--dataset.root={coloured}", f"--target={TARGET}"]
+    assert convert.main([*options, "--new_repo_id=me/target", f"--new_root={root}", "--transfer.stretch=1"]) == 0
+    source, stored = DatasetReader("me/coloured", coloured), DatasetReader("me/target", root).read(0)
+    steps = CloudSynthesiser(source.embodiment, load_embodiment(TARGET))
+    shown = []
+    for t, (env, observation) in enumerate(live(source)):
+        images, pictures = env.get_wrapper_attr("depth_m")(), env.get_wrapper_attr("rgb")()
+        points = frame_points(source.scene, images, pictures, None, colours=True)
+        assert points is not None
+        kept = steps.remove(points, source.scene, observation["agent_pos"].astype(float))
+        shown.append(steps.add(kept, stored.scene, stored.qpos[t]))
+    assert stored.point_cloud_world is not None
+    np.testing.assert_array_equal(np.stack(shown), stored.point_cloud_world)
+
+
+def test_the_wrapper_shows_what_these_steps_make(coloured: Path) -> None:
+    """Bit for bit, of a dataset's depth on disk and of the same episode live."""
+    reader = DatasetReader("me/coloured", coloured)
+    recorded, steps = reader.read(0), CloudSynthesiser(reader.embodiment, reader.embodiment)
+    shown = [observation["point_cloud"] for _, observation in live(reader, wrapped=True)]
+    expected = []
+    for t, qpos in enumerate(recorded.qpos):
+        images, pictures = ({name: each[t] for name, each in of.items()} for of in (recorded.depth_m, recorded.rgb))
+        points = frame_points(reader.scene, images, pictures, None, colours=True)
+        assert points is not None
+        expected.append(steps.add(steps.remove(points, reader.scene, qpos), reader.scene, qpos))
+    assert expected[0].shape == (1024, 6)
+    np.testing.assert_array_equal(np.stack(shown), np.stack(expected))
 
 
 def test_colours_are_converted_and_pictures_pass_through(coloured: Path) -> None:
@@ -318,10 +344,15 @@ def test_a_target_moved_out_of_reach_is_refused_with_its_frames(
     far = tmp_path / "far"
     copy_with_base_shifted(job / "source", far, 1.5)
     options = ["--dataset.repo_id=me/far", f"--dataset.root={far}", *target_options(tmp_path)]
-    pose = ["--target_pose=0,0,0.912"]
-    assert convert.main([*options, *pose]) == 1
+    assert convert.main(options) == 1
     error = capsys.readouterr().err
-    assert f"{TARGET} cannot reach episode 0: frames 0, 1" in error
+    # whose clouds still show it where it stood
+    assert f"the clouds show {SOURCE} 1.50 m from where its joints and its base pose say" in error
+    position = np.array(error.partition("with its base at ")[2].partition(". If")[0].split(",")[:3], float)
+    np.testing.assert_allclose(position, Metadata.load(job / "source").scene.T_world_base[:3, 3], atol=0.02)
+    assert convert.main([*options, "--check_clouds=false", "--target_pose=0,0,0.912"]) == 1
+    error = capsys.readouterr().err
+    assert f"{TARGET} does not follow the source in episode 0, frames 0-" in error
     assert not (tmp_path / "target").exists()
 
 

@@ -14,7 +14,7 @@ from cei_converters import convert
 from cei_converters.conversion.gate import Gate
 from cei_converters.dataset.records import Records
 from cei_converters.sources.reader import DatasetReader
-from cei_gym.alignment import AlignmentProblem, AlignmentReport, Clearance, Track, assess, make_report
+from cei_gym.alignment import AlignmentProblem, AlignmentReport, Clearance, Penetration, Track, assess, make_report
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import sample_representation
@@ -88,24 +88,27 @@ def test_what_the_score_is_made_of_is_measured() -> None:
     track = Track(u, np.zeros(3), np.zeros(3, int))
     points, normals = problem.place(u)
     deep_m = np.array([0, 0.02, 0.01])
-    report = make_report(problem, points, normals, track, 0.05, 30.0, 0.05, deep_m)
+    between = ((), ("link4", "link6"), ("hand", "the support surface"))
+    report = make_report(problem, points, normals, track, 0.05, 30.0, 0.05, Penetration(deep_m, between))
     np.testing.assert_array_equal(report.arm_at_limit, [False, False, True])
     fastest = 2.175  # rad/s, the data sheet's
     np.testing.assert_allclose(report.speed_share, np.abs(np.diff(u[:, 0], prepend=u[0, 0])) / (fastest * 0.05))
     np.testing.assert_allclose(report.penetration_mm, [0, 20, 10])
+    assert report.penetrates == "link4 in link6, frame 1"
     unknown = make_report(problem, points, normals, track, 0.05, 30.0)
     assert not unknown.speed_share.any()
     assert not unknown.penetration_mm.any()
+    assert unknown.penetrates is None
 
 
 def test_depth_grows_with_the_surface() -> None:
     embodiment = load_embodiment("Panda-PandaGripper")
     clearance, qpos = Clearance(embodiment), np.array([embodiment.home] * 2)
     qpos[1, 1] += 0.5  # bows
-    free = clearance.depth_m(qpos, -1.0)
+    free = clearance.penetration(qpos, -1.0).depth_m
     np.testing.assert_allclose(free, 0)
     heights = (0.3, 0.4, 0.5)
-    depths = np.array([clearance.depth_m(qpos, height) for height in heights])
+    depths = np.array([clearance.penetration(qpos, height).depth_m for height in heights])
     np.testing.assert_allclose(np.diff(depths[:, 1]), 0.1, atol=1e-9)
     assert (depths[:, 1] > depths[:, 0]).all()
     assert clearance.worst(qpos, 0.4)[0] == depths[1].max()

@@ -264,7 +264,7 @@ def test_what_is_wrong_in_a_workers_episode_is_told(
     source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     args = [arg for arg in killed.arguments(source, tmp_path / "out", "--workers=4") if arg != "--allow_unreachable"]
-    refused([*args, "--transfer.unreachable_mm=0.1"], capsys, "UR5e-PandaGripper cannot reach episode")
+    refused([*args, "--transfer.unreachable_mm=0.1"], capsys, "UR5e-PandaGripper does not follow the source in episode")
     assert list(tmp_path.iterdir()) == []
 
 

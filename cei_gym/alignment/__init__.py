@@ -1,7 +1,7 @@
 """Trajectory alignment: the target's joints that make its pads do what the source's did (the paper's section IV-B)."""
 
 from cei_gym.alignment.basins import Basin, choose_modes, judge, judge_basins
-from cei_gym.alignment.clearance import Clearance
+from cei_gym.alignment.clearance import Clearance, Penetration
 from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.grip import Grip, onto_objects, opposing_sides, pad_shapes, source_grip
 from cei_gym.alignment.links import link_shapes
@@ -20,6 +20,7 @@ from cei_gym.alignment.problem import (
     Track,
 )
 from cei_gym.alignment.quality import Quality, assess
+from cei_gym.alignment.reach import Miss, Reach
 from cei_gym.alignment.report import AlignmentReport, make_report, pad_residuals
 from cei_gym.alignment.solvers import make_solver
 from cei_gym.alignment.squeeze import squeeze
@@ -38,9 +39,12 @@ __all__ = [
     "Grip",
     "InitialisationOptions",
     "ManualAlignment",
+    "Miss",
     "Motion",
     "PaperOptions",
+    "Penetration",
     "Quality",
+    "Reach",
     "Solver",
     "SolverOptions",
     "Stream",

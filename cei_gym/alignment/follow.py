@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cei_gym.alignment.clearance import Clearance
+from cei_gym.alignment.clearance import OBJECT, Clearance, Penetration
 from cei_gym.alignment.grasp import GraspRefiner
 from cei_gym.alignment.kernels.keep_out import shortfall
 from cei_gym.alignment.kernels.target import make_target
@@ -33,7 +33,7 @@ class Follower:
     @cached_property
     def clearance(self) -> Clearance:
         """Judges configurations by MuJoCo's collisions, which the terms above only approximate."""
-        return Clearance(self.problem.embodiment)
+        return Clearance(self.problem.embodiment, self.options.clearance)
 
     @cached_property
     def _links(self):
@@ -63,14 +63,15 @@ class Follower:
             return list(pool.map(self._grasp.refine, motions, tracks))
 
     def overlap_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
-        """See `GraspRefiner.overlap_m`."""
-        return self._grasp.overlap_m(motion, u)
+        """(T,) how deep links are in objects; see `GraspRefiner.overlap`."""
+        return self._grasp.overlap(motion, u)[0]
 
-    def penetration_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
-        """(T,) how deep the target is in itself, its stand, the support surface or objects at (T, m) configurations, m."""
+    def penetration(self, motion: Motion, u: np.ndarray) -> Penetration:
+        """How deep the target is in itself, its stand, the support surface or objects at (T, m) configurations."""
         support_z = motion.surroundings.support_z_base_m if motion.surroundings else -np.inf
-        depth_m = self.clearance.depth_m(self.problem.embodiment.coupled.expand(u), support_z)
-        return np.maximum(depth_m, self.overlap_m(motion, u))
+        found = self.clearance.penetration(self.problem.embodiment.coupled.expand(u), support_z)
+        overlap_m, links = self._grasp.overlap(motion, u)
+        return found.deeper(Penetration(overlap_m, tuple((link, OBJECT) for link in links)))
 
     def shortfall_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
         """(T,) how much clearance the worst link lacks at each of (T, m) configurations, m; 0 where none does."""

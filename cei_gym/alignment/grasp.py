@@ -59,13 +59,16 @@ class GraspRefiner:
         )
         return replace(track, u=u, objective=self._objective(motion, u), contact_miss_m=miss)
 
-    def overlap_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
-        """(T,) how deep links are in objects at (T, m) configurations, m; pads in what is gripped do not count."""
+    def overlap(self, motion: Motion, u: np.ndarray) -> tuple[np.ndarray, list[str]]:
+        """(T,) how deep links are in objects at (T, m) configurations, m, and which is deepest; pads in what is gripped do not
+        count."""
         if (grip := self._grip(motion)) is None:
-            return np.zeros(len(u))
+            return np.zeros(len(u)), [""] * len(u)
         target, _, away, pads = self._arrays
         _, around, elsewhere = self._surroundings(motion, grip, len(u))
-        return kernels.overlaps(target, away, pads, *around, *elsewhere, np.ascontiguousarray(u, float))
+        depth_m, which = kernels.overlaps(target, away, pads, *around, *elsewhere, np.ascontiguousarray(u, float))
+        names = [name.removeprefix(END_EFFECTOR_PREFIX) for name in self._problem.embodiment.body_names]
+        return depth_m, [names[body] for body in which]
 
     def _grip(self, motion: Motion) -> Grip | None:
         """What there is to carry over; None without weight, or where source or target have no sides that close."""

@@ -8,6 +8,7 @@ from numba import njit
 from scipy.spatial import Delaunay, QhullError
 
 from cei_gym.embodiment.meshes import outermost
+from cei_gym.functional.palmar import within_extent
 from cei_gym.functional.representation import FunctionalRepresentation, pad_mesh
 from cei_gym.kinematics.tree import KinematicTree
 
@@ -101,13 +102,14 @@ class PadShapes:
 
 
 def pad_shapes(representation: FunctionalRepresentation, sides: np.ndarray) -> PadShapes:
-    """The shapes of a representation's pads, with (N,) sides of its pairs."""
+    """The shapes of a representation's pads, with (N,) sides of its pairs: of each link only the part that is pad."""
     embodiment = representation.embodiment
     assert embodiment.end_effector is not None
     pads = embodiment.end_effector.pads
     body = np.array([embodiment.body_id(pad.body) for pad in pads])
     side = np.array([sides[representation.body == b][0] for b in body])
-    return PadShapes(body, side, [outermost(np.asarray(pad_mesh(embodiment, pad).vertices)) for pad in pads])
+    surfaces = [within_extent(pad_mesh(embodiment, pad), pad.extent) for pad in pads]
+    return PadShapes(body, side, [outermost(np.asarray(surface.vertices)) for surface in surfaces])
 
 
 def source_grip(

@@ -86,6 +86,7 @@ def keep_out_links(problem: AlignmentProblem, options: ClearanceOptions) -> Keep
     return KeepOut(
         weight=float(options.weight),
         height_m=-np.inf,
+        body=shapes.body,
         joint=attachment.joint[shapes.body],
         margin_m=np.where(idle, options.idle_margin_m, margin).astype(float),
         start=np.concatenate([[0], np.cumsum([len(v) for v in placed])]).astype(np.int64),
@@ -114,8 +115,6 @@ def _axis_base(joints: JointTree) -> np.ndarray:
 
 def keep_nothing_out() -> KeepOut:
     """No links and no weight: what compiled code gets while nothing is too near."""
-    ints, floats = np.zeros(0, np.int64), np.zeros(0)
-    points = np.zeros((0, 3))
-    return KeepOut(
-        0.0, -np.inf, ints, floats, np.zeros(1, np.int64), points, points, points, points, floats, np.zeros(0, bool)
-    )
+    ints, floats, points = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3))
+    no_vertices = np.zeros(1, np.int64), points
+    return KeepOut(0.0, -np.inf, ints, ints, floats, *no_vertices, points, points, points, floats, np.zeros(0, bool))

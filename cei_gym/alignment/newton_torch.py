@@ -13,13 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from cei_gym.alignment.device import choose_device, widest_real
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import keep_out_links
 from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Surroundings, Track
 from cei_gym.alignment.torch_model import Pose, Sources, TorchModel
-from cei_gym.errors import CEIError, unknown
 
-DEVICES = ("auto", "cpu", "cuda", "mps")
 # As in `kernels.frame` and `kernels.step`.
 _DAMPING = 1e-3
 _LEAST_DAMPING = 1e-9
@@ -84,7 +83,7 @@ class TorchNewtonSolver:
     def _model(self, guarded: bool) -> TorchModel:
         target = make_target(self._problem.representation, self._problem.tree, all_joints=guarded)
         keep_out = keep_out_links(self._problem, self.options.clearance) if guarded else None
-        dtype = torch.float32 if self._device.type == "mps" else torch.float64
+        dtype = widest_real(self._device)
         return TorchModel(target, keep_out, float(self.options.lambda_m), self._device, dtype)
 
     @cached_property
@@ -283,19 +282,3 @@ def _solve_free(s: _State, delta: Tensor, fixed: Tensor) -> tuple[Tensor, Tensor
     shrink = (_LARGEST_STEP / step.abs().amax(dim=1, keepdim=True)).clamp(max=1)
     failed = failed > 0
     return torch.where(fixed | failed[:, None], held, shrink * step), failed
-
-
-def choose_device(name: str) -> torch.device:
-    """The device of a name of `DEVICES`; "auto" is a CUDA device where there is one, else the CPU.
-
-    Raises:
-        CEIError: no such device, here or at all.
-    """
-    here = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
-    if name not in DEVICES:
-        raise unknown("solver device", name, DEVICES)
-    if name == "auto":
-        name = "cuda" if here["cuda"] else "cpu"
-    if not here[name]:
-        raise CEIError(f"solver.device={name}, but torch finds no such device here.")
-    return torch.device(name)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from cei_gym.alignment.device import choose_device, widest_real
 from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Track
 from cei_gym.kinematics.torch_chain import TorchChain
 
@@ -16,12 +17,18 @@ class PaperSolver:
     nor surroundings.
     """
 
-    def __init__(self, problem: AlignmentProblem, options: SolverOptions, device: str = "cpu") -> None:
+    def __init__(self, problem: AlignmentProblem, options: SolverOptions) -> None:
+        """See `Solver`; `options.device` says where it computes.
+
+        Raises:
+            CEIError: there is no such device here.
+        """
         self.options, self._problem = options, problem
-        embodiment, pads = problem.embodiment, problem.representation
-        tensor = lambda x: torch.as_tensor(np.asarray(x, float), dtype=torch.float64, device=device)  # noqa: E731
+        self.device = device = choose_device(options.device)
+        embodiment, pads, dtype = problem.embodiment, problem.representation, widest_real(device)
+        tensor = lambda x: torch.as_tensor(np.asarray(x, float)).to(device=device, dtype=dtype)  # noqa: E731
         self._tensor = tensor
-        self._chain = TorchChain(embodiment, torch.float64, device)
+        self._chain = TorchChain(embodiment, dtype, str(device))
         bodies, which = np.unique(pads.body, return_inverse=True)
         self._bodies, self._which = [int(b) for b in bodies], torch.as_tensor(which, device=device)
         self._points, self._normals = tensor(pads.points_link), tensor(pads.normals_link)
@@ -56,8 +63,8 @@ class PaperSolver:
         u = u0.clone().requires_grad_(True)
         adam = torch.optim.Adam([u], lr=o.learning_rate)
         best, best_u = torch.full_like(u0[:, 0], torch.inf), u0.clone()
-        since, spent = torch.zeros(len(u0)), torch.zeros(len(u0), dtype=torch.int64)
-        running = torch.ones(len(u0), dtype=torch.bool)
+        since, spent = torch.zeros((2, len(u0)), dtype=torch.int64, device=self.device)
+        running = torch.ones(len(u0), dtype=torch.bool, device=self.device)
         for _ in range(steps):
             adam.zero_grad()
             at = running.nonzero()[:, 0]  # those that have stopped cost nothing more
@@ -77,7 +84,7 @@ class PaperSolver:
         # The penalty only discourages: limits are respected at every frame.
         best_u = torch.minimum(torch.maximum(best_u, self._lower), self._upper)
         with torch.no_grad():
-            return best_u, self._dcd(points, normals, best_u).cpu().numpy(), spent.numpy()
+            return best_u, self._dcd(points, normals, best_u).cpu().numpy(), spent.cpu().numpy()
 
     def _dcd(self, points, normals, u):
         T = self._chain.forward(u @ self._A.T + self._b, self._bodies)[:, self._which]

@@ -14,6 +14,7 @@ from cei_gym.functional.representation import FunctionalRepresentation
 from cei_gym.kinematics.tree import KinematicTree
 
 BACKENDS = ("auto", "numba", "torch", "paper")
+DEVICES = ("auto", "cpu", "cuda", "mps")
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,8 @@ class ClearanceOptions:
 
     Attributes:
         weight: k of (k/2) h^2 for a link that lacks h metres of clearance, 1/m; 0 for none.
-        arm_margin_m: between the arm and the support surface: an arm has no business near it.
+        arm_margin_m: between the arm and the support surface: an arm has no business near it. What it lacks counts as
+            penetration.
         hand_margin_m: between links of the hand and the support surface: fingers may touch it beside what they grasp.
         idle_margin_m: between fingers that carry no pad and both the surface and objects.
     """
@@ -57,7 +59,7 @@ class SolverOptions:
     Attributes:
         backend: "numba" (second order, compiled), "torch" (the same method, many trajectories at once, any device), "paper"
             (pytorch-kinematics, autograd, Adam), or "auto" (numba).
-        device: where torch computes: "auto" (a GPU where there is one), "cpu", "cuda", "mps".
+        device: where "torch" and "paper" compute: "auto" (a GPU where there is one), "cpu", "cuda", "mps".
         lambda_m: weight of direction in the Directional Chamfer Distance, metres (points are in metres); 0 is the paper's
             ablation "without direction".
         temporal_weight: weight w of (w/2)|u_t - u_(t-1)|^2, metres per rad^2 (second order only).
@@ -83,6 +85,13 @@ class SolverOptions:
     def __post_init__(self) -> None:
         if self.backend not in BACKENDS:
             raise unknown("solver.backend", self.backend, BACKENDS)
+        if self.device not in DEVICES:
+            raise unknown("solver.device", self.device, DEVICES)
+        if self.device not in ("auto", "cpu") and self.backend in ("auto", "numba"):
+            raise CEIError(
+                f"solver.device={self.device} is where torch computes, which solver.backend={self.backend} does without; "
+                "give solver.backend=torch, or leave it out."
+            )
         for name in ("lambda_m", "temporal_weight", "smoothness_weight", "velocity_scale", "tolerance"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise CEIError(f"solver.{name}={getattr(self, name)} must be at least 0.")

@@ -4,11 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cei_gym.alignment.clearance import Penetration
 from cei_gym.alignment.kernels.distance import matched
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.problem import AlignmentProblem, Track
+from cei_gym.alignment.reach import Miss
 
 _AT_LIMIT = 1e-6
+_TOUCHES_MM = 1.0  # less is how meshes are, not how robots are
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,8 @@ class AlignmentReport:
         speed_share: (T,) largest change of a joint since the frame before, as a share of what its velocity limit allows.
         penetration_mm: (T,) how deep the target is in itself, its stand, the support surface or objects.
         unreachable_mm: pad distance above which a frame counts as out of the target's reach.
+        penetrating: link, and what it is in, where that is deepest; empty where nothing touches.
+        miss: why it is out of reach, if it is anywhere.
     """
 
     pad_distance_mm: np.ndarray
@@ -38,14 +43,24 @@ class AlignmentReport:
     speed_share: np.ndarray
     penetration_mm: np.ndarray
     unreachable_mm: float
+    penetrating: tuple[str, ...] = ()
+    miss: Miss | None = None
 
     @property
     def unreachable_frames(self) -> list[int]:
         """Frames at which the target's pads stay farther away than `unreachable_mm`."""
         return np.flatnonzero(self.pad_distance_mm > self.unreachable_mm).tolist()
 
-    def summary(self) -> dict[str, float | int | list[int]]:
-        """The episode in a few numbers, and which frames are out of reach, for tables and metadata."""
+    @property
+    def penetrates(self) -> str | None:
+        """What is in what at which frame, where that is deepest; None where it is hardly anything."""
+        frame = int(self.penetration_mm.argmax())
+        if not self.penetrating or self.penetration_mm[frame] < _TOUCHES_MM:
+            return None
+        return f"{' in '.join(self.penetrating)}, frame {frame}"
+
+    def summary(self) -> dict[str, float | int | list[int] | str | None]:
+        """The episode in a few numbers, which frames are out of reach and why, and what is in what, for tables and metadata."""
         return {
             "pad_distance_mm_mean": float(self.pad_distance_mm.mean()),
             "pad_distance_mm_max": float(self.pad_distance_mm.max()),
@@ -55,7 +70,9 @@ class AlignmentReport:
             "limit_hits_max": int(self.limit_hits.max()),
             "joint_step_max_rad": float(self.joint_step_rad.max()),
             "penetration_mm_max": float(self.penetration_mm.max()),
+            "penetrates": self.penetrates,
             "unreachable_frames": self.unreachable_frames,
+            "unreachable_because": None if self.miss is None else str(self.miss),
         }
 
 
@@ -67,7 +84,7 @@ def make_report(
     lambda_m: float,
     unreachable_mm: float,
     dt_s: float | None = None,
-    penetration_m: np.ndarray | None = None,
+    penetration: Penetration | None = None,
 ) -> AlignmentReport:
     """Diagnose a track.
 
@@ -77,7 +94,7 @@ def make_report(
         track: what is judged.
         lambda_m, unreachable_mm: see `SolverOptions` and `AlignmentReport`.
         dt_s: time between frames; without it no joint counts as fast.
-        penetration_m: (T,) how deep the target is in something; none if it is not known.
+        penetration: how deep the target is in something; none if it is not known.
     """
     pad_distance_mm, normal_angle_deg = pad_residuals(problem, points_base, normals_base, track.u, lambda_m)
     lower, upper = problem.embodiment.independent_limits
@@ -95,8 +112,9 @@ def make_report(
         joint_step_rad=np.nan_to_num(step),
         arm_at_limit=at_limit[:, arm].sum(axis=1) > 0,
         speed_share=(moved / allowed).max(axis=1),
-        penetration_mm=np.zeros(len(track.u)) if penetration_m is None else 1e3 * penetration_m,
+        penetration_mm=np.zeros(len(track.u)) if penetration is None else 1e3 * penetration.depth_m,
         unreachable_mm=unreachable_mm,
+        penetrating=() if penetration is None else penetration.between[int(penetration.depth_m.argmax())],
     )
 
 

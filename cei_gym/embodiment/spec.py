@@ -72,7 +72,7 @@ class Pad(_Checked):
         body: link that carries the pad.
         geoms: geoms whose surface is sampled; empty means all collision geoms of the body.
         share: how many points it gets, relative to the other pads.
-        extent: part of the link's length that counts as pad, from its base (0) to its tip (1).
+        extent: part of the link's length that counts as pad, from its base (0) to its tip (1), the end farther from its joint.
         palmar: "auto" (the side that leads when the hand closes), or a direction in the link's frame.
         palmar_cosine: least cosine between a surface normal and the palmar direction.
     """

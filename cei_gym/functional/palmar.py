@@ -10,6 +10,7 @@ from cei_gym.errors import CEIError
 from cei_gym.kinematics.tree import KinematicTree
 
 _GAP_M = 1e-4
+_SAME_LENGTH = 0.95
 
 
 def palmar_directions(embodiment: Embodiment, tree: KinematicTree, pad: Pad, points_link: np.ndarray) -> np.ndarray:
@@ -41,23 +42,54 @@ def palmar_directions(embodiment: Embodiment, tree: KinematicTree, pad: Pad, poi
 
 
 def extent_mask(mesh: trimesh.Trimesh, extent: list[float], points_link: np.ndarray) -> np.ndarray:
-    """Which points lie in a part of a link's length, measured along its longest principal axis from the joint.
+    """Which points lie in a part of a link's length, measured along its longest principal axis to the tip, its end farther from the
+    joint.
 
     Args:
         mesh: the link's surface in its frame, whose origin is at the joint.
         extent: start and end as fractions of the length.
         points_link: (N, 3) m.
     """
+    if (bounds := _extent_bounds_m(mesh, extent)) is None:
+        return np.ones(len(points_link), bool)
+    axis, start_m, end_m = bounds
+    along_m = points_link @ axis
+    return (along_m >= start_m) & (along_m <= end_m)
+
+
+def within_extent(mesh: trimesh.Trimesh, extent: list[float]) -> trimesh.Trimesh:
+    """The part of a link's surface that lies in a part of its length, cut open where it ends; see `extent_mask`."""
+    if (bounds := _extent_bounds_m(mesh, extent)) is None:
+        return mesh
+    axis, start_m, end_m = bounds
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    for end, towards in ((start_m, axis), (end_m, -axis)):  # what `slice_plane` does, which wants shapely
+        vertices, faces, _ = trimesh.intersections.slice_faces_plane(vertices, faces, towards, end * axis)
+    return trimesh.Trimesh(vertices, faces)
+
+
+def _extent_bounds_m(mesh: trimesh.Trimesh, extent: list[float]) -> tuple[np.ndarray, float, float] | None:
+    """The axis (3,) that a link's length is measured along, and where on it an extent starts and ends, m; None for all of it.
+
+    Raises:
+        CEIError: it is no extent, or either end of the link may be its tip.
+    """
     if len(extent) != 2 or not 0 <= extent[0] < extent[1] <= 1:
         raise CEIError(f"a pad's `extent` must be 0 <= start < end <= 1, not {extent}.")
-    start, end = extent
-    if (start, end) == (0, 1):
-        return np.ones(len(points_link), bool)
+    if tuple(extent) == (0, 1):
+        return None
     _, _, axes = np.linalg.svd(mesh.vertices - mesh.vertices.mean(0), full_matrices=False)
-    axis = axes[0] if axes[0] @ mesh.centroid >= 0 else -axes[0]
-    along = mesh.vertices @ axis
-    fraction = (points_link @ axis - along.min()) / np.ptp(along)
-    return (fraction >= start) & (fraction <= end)
+    axis, along_m = axes[0], mesh.vertices @ axes[0]
+    ends_m = -along_m.min(), along_m.max()
+    if min(ends_m) > _SAME_LENGTH * max(ends_m) and not np.isclose(extent[0] + extent[1], 1):
+        raise CEIError(
+            f"`extent` {extent}: the link reaches as far to one side of its joint as to the other ({1e3 * ends_m[0]:.1f} and "
+            f"{1e3 * ends_m[1]:.1f} mm), so that it does not say which is the tip; name the pad's `geoms` instead."
+        )
+    if ends_m[0] > ends_m[1]:
+        axis, along_m = -axis, -along_m
+    start_m, end_m = along_m.min() + np.array(extent) * np.ptp(along_m)
+    return axis, float(start_m), float(end_m)
 
 
 def outer_mask(mesh: trimesh.Trimesh, points_link: np.ndarray, normals_link: np.ndarray) -> np.ndarray:

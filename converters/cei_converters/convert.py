@@ -235,6 +235,7 @@ def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
         **({"calibration": Path(config.calibration).name} if config.calibration else {}),
         **({"joint_map": load_joint_map(config.joint_map)} if config.joint_map else {}),
         "episodes": config.episodes,
+        "check_clouds": config.check_clouds,
         "allow_unreachable": config.allow_unreachable,
         **config.gate.bounds,
         "init": config.init,

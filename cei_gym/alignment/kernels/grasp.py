@@ -282,9 +282,9 @@ def _miss(grasp, axis, contacts, points):
 
 @njit(cache=True, nogil=True)
 def overlaps(target, away, pads, around, around_start, elsewhere, elsewhere_start, u):
-    """(T,) how deep links are in points at (T, m) configurations, m; points as for `refine`."""
+    """(T,) how deep links are in points at (T, m) configurations, m, and (T,) which link is deepest; points as for `refine`."""
     pose = empty_pose(target, 1)
-    deepest = np.zeros(len(u))
+    deepest, which = np.zeros(len(u)), np.zeros(len(u), np.int64)
     point, normal = np.empty(3), np.empty(3)
     for t in range(len(u)):
         place_joints(target, u[t], pose)
@@ -295,8 +295,9 @@ def overlaps(target, away, pads, around, around_start, elsewhere, elsewhere_star
             for link in range(len(links.joint)):
                 if links.idle[link]:
                     distance = nearest(links, link, points, pose, links.joint[link], 0.0, point, normal)
-                    deepest[t] = max(deepest[t], -distance)
-    return deepest
+                    if -distance > deepest[t]:
+                        deepest[t], which[t] = -distance, links.body[link]
+    return deepest, which
 
 
 @njit(cache=True, nogil=True)

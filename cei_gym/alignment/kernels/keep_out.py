@@ -21,6 +21,7 @@ class KeepOut(NamedTuple):
     Attributes:
         weight: k of (k / 2) h^2 for a clearance that lacks h metres, 1/m; 0 switches all of it off.
         height_m: of the support surface.
+        body: (K,) index of each link.
         joint: (K,) joint whose frame carries each link.
         margin_m: (K,) clearance wanted of each link.
         start: (K + 1,) vertices of link k are `start[k] : start[k + 1]`.
@@ -33,6 +34,7 @@ class KeepOut(NamedTuple):
 
     weight: float
     height_m: float
+    body: np.ndarray
     joint: np.ndarray
     margin_m: np.ndarray
     start: np.ndarray

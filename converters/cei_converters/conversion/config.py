@@ -7,7 +7,7 @@ from cei_converters.conversion.augment import AugmentOptions
 from cei_converters.conversion.executors import SlurmOptions, check_executor
 from cei_converters.conversion.gate import Gate
 from cei_converters.conversion.verify import VerifyOptions
-from cei_gym.alignment import ContactOptions, InitialisationOptions, SolverOptions
+from cei_gym.alignment import ContactOptions, InitialisationOptions, PaperOptions, SolverOptions
 from cei_gym.errors import CEIError, unknown
 from cei_gym.pointcloud import CloudOptions
 from cei_gym.transfer import TransferOptions
@@ -25,6 +25,7 @@ class ConvertConfig:
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
     calibration: str | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See above.
     joint_map: str | None = None  # YAML that tells which columns of a dataset are which joints. See above.
+    check_clouds: bool = True  # Refuse clouds that do not show the source where its joints say.
     target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
@@ -66,6 +67,8 @@ def check_options(config: ConvertConfig) -> None:
         raise CEIError(f"--workers={config.workers} must be at least 1.")
     check_executor(config.executor, config.slurm)
     Gate(config.min_quality, config.flag)
+    if config.solver.backend != "paper" and config.solver.paper != PaperOptions():
+        raise CEIError("--solver.paper.* are of no use without --solver.backend=paper.")
     if config.dry_run and config.executor == "slurm":
         raise CEIError("--dry_run is done at once, here; leave out --executor=slurm.")
     if config.shard_episodes < 1:

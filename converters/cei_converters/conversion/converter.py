@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from cei_converters.cli.options import parse_episodes, parse_pose
+from cei_converters.conversion.agreement import check_clouds
 from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.conversion.gate import DROPPED, FLAGGED, LOW_QUALITY
@@ -95,10 +96,16 @@ class Converter:
         self._opened.close()
 
     def fit(self) -> None:
-        """Choose where trajectories start, on a few episodes."""
+        """Choose where trajectories start, on a few episodes, whose clouds are checked first.
+
+        Raises:
+            CEIError: an episode cannot be read, or clouds do not show the source where its joints say.
+        """
         spread = sorted({round(i) for i in np.linspace(0, len(self.selected) - 1, FIT_EPISODES)})
         with one_thread():
             read = [self._read(i, colours=False) for i in spread]
+            if self._config.check_clouds and (told := check_clouds(self.transfer.source, [each[0] for each in read])):
+                print(told)
             self.transfer.fit([demonstration for demonstration, _, inside in read if inside] or [read[0][0]])
 
     def start_from(self, finalists: "Sequence[Basin]") -> None:

@@ -10,12 +10,14 @@ from cei_converters.cli.table import print_table
 from cei_converters.conversion.augment import check_left, count, counted
 from cei_converters.conversion.gate import LOW_QUALITY, in_words
 from cei_converters.conversion.plan import Plan
+from cei_converters.conversion.reach import spans
 from cei_converters.conversion.shard import Shard
 from cei_converters.conversion.verify import Verdict, check_kept, sentence, summarise
 from cei_converters.conversion.workplace import Workplace
 
 # a table of more rows is nobody's to read
 _ROWS, _WORST = 50, 20
+_BECAUSE, _PENETRATES = "unreachable_because", "penetrates"
 
 
 def outcomes(place: Workplace, plan: Plan) -> Iterator[dict[str, Any]]:
@@ -77,6 +79,7 @@ def account(place: Workplace, plan: Plan, title: str) -> Account:
             row |= verdicts[-1].row()
         rows.append(row)
     _print_rows(rows, title)
+    _print_faults(rows)
     verified = judged = augmented = None
     if verdicts:
         verified = summarise(verdicts)
@@ -93,14 +96,32 @@ def account(place: Workplace, plan: Plan, title: str) -> Account:
 
 
 def _print_rows(rows: list[dict[str, Any]], title: str) -> None:
-    """A row an episode, or of many episodes the worst and a row of means; no column that is empty throughout."""
-    for name in ("flagged", "left_out"):
-        if all(row[name] is None for row in rows):
-            for row in rows:
-                del row[name]
+    """A row an episode, or of many episodes the worst and a row of means; no column that is empty throughout, nor of sentences."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    sentences = _BECAUSE, _PENETRATES
+    shown = [name for name in names if name not in sentences and any(row.get(name) is not None for row in rows)]
+    rows = [{name: row.get(name) for name in shown} for row in rows]
     if len(rows) > _ROWS:
         title += f": of {len(rows)} episodes, the {_WORST} of lowest quality, and the mean of all"
         numbers = [name for name, value in rows[0].items() if isinstance(value, (int, float)) and name != "episode"]
         mean = {name: float(np.mean([row[name] for row in rows])) for name in numbers}
         rows = [*sorted(rows, key=lambda row: row["quality"])[:_WORST], {"episode": "mean", **mean}]
     print_table(rows, title)
+
+
+def _print_faults(rows: list[dict[str, Any]]) -> None:
+    """Where and why the target does not follow, and what is in what where that is the worst about an episode, a line each."""
+    faults = [
+        f"Episode {row['episode']}, {spans(row['unreachable_frames'])} out of reach: {row[_BECAUSE]}"
+        for row in rows
+        if row.get(_BECAUSE)
+    ]
+    faults += [
+        f"Episode {row['episode']}: {row[_PENETRATES]}, {row['penetration_mm_max']:.0f} mm deep."
+        for row in rows
+        if row.get(_PENETRATES) and row["weakest"] == "clearance"
+    ]
+    for fault in faults[:_WORST]:
+        print(fault)
+    if len(faults) > _WORST:
+        print(f"And {len(faults) - _WORST} more such lines; --json has all.")

@@ -1,32 +1,43 @@
-"""The refusal of episodes that the target cannot reach."""
+"""The refusal of episodes that the target does not follow."""
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 from cei_gym.errors import CEIError
 
-SHOWN_FRAMES = 10
+_SPANS, _EPISODES = 5, 3  # shown; more are counted
 
 
-def check_reached(target: str, entries: list[dict[str, Any]]) -> None:
-    """Check that the target reaches every frame.
+def check_reached(target: str, entries: Sequence[dict[str, Any]]) -> None:
+    """Check that the target follows in every frame.
 
     Args:
         target: embodiment.
-        entries: per episode `episode` and maybe `unreachable_frames`.
+        entries: per episode `episode`, and maybe `unreachable_frames` and why (`unreachable_because`).
 
     Raises:
-        CEIError: naming the episodes and frames that it does not reach.
+        CEIError: naming the episodes and frames in which it does not, and why.
     """
     missed = [entry for entry in entries if entry.get("unreachable_frames")]
-    if missed:
-        named = "; ".join(f"episode {e['episode']}: {_frames(e['unreachable_frames'])}" for e in missed)
-        raise CEIError(
-            f"{target} cannot reach {named}; leave these episodes out with --episodes, change --transfer.*, "
-            "or keep them with --allow_unreachable."
-        )
+    if not missed:
+        return
+    told = [f"episode {e['episode']}, {spans(e['unreachable_frames'])}: {_why(e)}" for e in missed[:_EPISODES]]
+    more = f" And {len(missed) - _EPISODES} more episodes." if len(missed) > _EPISODES else ""
+    raise CEIError(
+        f"{target} does not follow the source in {' '.join(told)}{more} Or leave out episodes with --episodes, keep them with "
+        "--allow_unreachable, or accept pads that are farther away with --transfer.unreachable_mm."
+    )
 
 
-def _frames(frames: list[int]) -> str:
-    shown = ", ".join(map(str, frames[:SHOWN_FRAMES]))
-    more = f" and {len(frames) - SHOWN_FRAMES} more" if len(frames) > SHOWN_FRAMES else ""
-    return f"frame{'s' if len(frames) > 1 else ''} {shown}{more}"
+def _why(entry: dict[str, Any]) -> str:
+    return str(entry.get("unreachable_because") or "its pads are too far away.")
+
+
+def spans(frames: Sequence[int]) -> str:
+    """Frames in words: `frame 3`, or `frames 0-12, 40`."""
+    ends = [i for i, (a, b) in enumerate(pairwise(frames)) if b != a + 1]
+    runs = zip([0, *(i + 1 for i in ends)], [*ends, len(frames) - 1], strict=True)
+    named = [f"{frames[a]}-{frames[b]}" if a < b else str(frames[a]) for a, b in runs]
+    more = f" and {len(named) - _SPANS} more spans" if len(named) > _SPANS else ""
+    return f"frame{'s' if len(frames) > 1 else ''} {', '.join(named[:_SPANS])}{more}"
