@@ -1,0 +1,183 @@
+"""URDF to `mujoco.MjSpec`: what describes a robot is kept, in the way that MuJoCo's parser reads right."""
+
+from collections import Counter
+from math import inf, pi
+from pathlib import Path, PurePosixPath
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import mujoco
+
+from cei_gym.embodiment.assets import Assets
+from cei_gym.embodiment.elements import check_numbers
+from cei_gym.embodiment.resources import within
+from cei_gym.embodiment.spec import Coupling
+from cei_gym.errors import CEIError
+
+_KEPT = {
+    "robot": ("link", "joint", "material"),
+    "link": ("inertial", "visual", "collision"),
+    "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller"),
+    "material": ("color",),
+}
+"""Element -> those in it that are read. A URDF is open to what other programs add (gazebo, ros2_control, transmissions)."""
+
+_SCHEMES = ("package://", "model://")
+_COMPILER = {"strippath": "false", "discardvisual": "false", "fusestatic": "false", "balanceinertia": "true"}
+
+
+class UrdfReader:
+    """What a URDF says, and what MuJoCo's parser does not read of it.
+
+    Args:
+        tree: its root element; changed.
+        assets: what its meshes are put into.
+
+    Attributes:
+        spec: the parsed model.
+        couplings: follower -> coupling, of `<mimic>`.
+        max_velocity: joint -> speed limit, rad/s or m/s.
+        notes: sentences about what was assumed or left out.
+
+    Raises:
+        CEIError: it cannot be used.
+    """
+
+    def __init__(self, tree: Element, assets: Assets) -> None:
+        self._assets = assets
+        self._meshdir = next((c.get("meshdir", "") for c in tree.iterfind("mujoco/compiler")), "")
+        self.couplings: dict[str, Coupling] = {}
+        self.max_velocity: dict[str, float] = {}
+        self.notes: list[str] = []
+        _refuse_xacro(tree)
+        _strip(tree)
+        check_numbers(tree, may_be_infinite=("velocity", "effort"))  # for "not known"
+        for joint in tree.iterfind("joint"):
+            self._read_joint(joint)
+        _check_one_root(tree)
+        for mesh in tree.iter("mesh"):
+            self._read_mesh(mesh)
+        _name_once(tree)
+        extension = Element("mujoco")
+        SubElement(extension, "compiler", _COMPILER)
+        tree.insert(0, extension)
+        self.spec = mujoco.MjSpec.from_string(tostring(tree, encoding="unicode"), assets=assets.contents)
+
+    def _read_joint(self, joint: Element) -> None:
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        if kind == "planar":
+            raise CEIError(
+                f"joint {name!r} is planar; write it as two prismatic joints and a revolute one, with limits."
+            )
+        if (mimic := joint.find("mimic")) is not None:
+            coupling = Coupling(
+                mimic.get("joint", ""), _number(mimic, "multiplier", 1.0), _number(mimic, "offset", 0.0)
+            )
+            if kind != "fixed":
+                self.couplings[name] = coupling
+        limit = joint.find("limit")
+        lower, upper = (0.0 if limit is None else _number(limit, end, 0.0) for end in ("lower", "upper"))
+        if limit is not None and 0 < (speed := _number(limit, "velocity", 0.0)) < inf:
+            self.max_velocity[name] = speed  # exporters write 0 or infinity for "not known"
+        if kind == "continuous":
+            if limit is not None:
+                for end in ("lower", "upper"):
+                    limit.attrib.pop(end, None)
+            if -2 * pi < lower < upper < 2 * pi:
+                self.notes.append(
+                    f"joint {name!r} is continuous: as URDF has it, its limits of {lower:g} to {upper:g} rad do not hold; make it"
+                    " revolute if they should."
+                )
+        elif kind in ("revolute", "prismatic"):
+            self._read_limits(joint, name, lower, upper)
+        for tag in ("mimic", "safety_controller"):
+            for element in joint.findall(tag):
+                joint.remove(element)
+
+    def _read_limits(self, joint: Element, name: str, lower: float, upper: float) -> None:
+        unit = "rad" if joint.get("type") == "revolute" else "m"
+        if lower > upper:
+            raise CEIError(f"joint {name!r}: its lower limit {lower:g} is above its upper {upper:g}.")
+        if lower == upper != 0:
+            raise CEIError(f"joint {name!r}: both its limits are {lower:g} {unit}; make it fixed, or give it a range.")
+        if lower == upper:
+            if unit == "rad":
+                self.notes.append(
+                    f"joint {name!r} has no limits (none are given, or 0 to 0): a whole turn to either side is taken."
+                )
+            return
+        limit = joint.find("limit")
+        assert limit is not None
+        limit.attrib |= {"lower": repr(lower), "upper": repr(upper)}  # MuJoCo wants both; URDF has 0 for one not given
+        if (soft := joint.find("safety_controller")) is not None:
+            ends = _number(soft, "soft_lower_limit", lower), _number(soft, "soft_upper_limit", upper)
+            if lower < upper and ends[0] < ends[1] and (ends[0] > lower + 1e-6 or ends[1] < upper - 1e-6):
+                self.notes.append(
+                    f"joint {name!r}: its <safety_controller> keeps to {ends[0]:g} to {ends[1]:g} {unit}; its limits of {lower:g} to"
+                    f" {upper:g} {unit} are taken."
+                )
+
+    def _read_mesh(self, mesh: Element) -> None:
+        uri = mesh.get("filename", "")
+        path = self._find(uri.replace("\\", "/"))
+        mesh.set("filename", self._assets.mesh(path, uri, mesh.get("scale", "")))
+
+    def _find(self, uri: str) -> Path:
+        """A mesh relative to the URDF, or by `package://<ROS package>/...`; or where a `<mujoco>` element says that they are."""
+        place = self._assets.place
+        beside = place.path.parent
+        stripped = beside / self._meshdir / PurePosixPath(uri).name
+        scheme = next((s for s in _SCHEMES if uri.startswith(s)), None)
+        if scheme is None:
+            path = place.inside(beside / uri.removeprefix("file://"), uri)
+            return place.inside(stripped, uri) if self._meshdir and not path.is_file() else path
+        package, _, inside = uri.removeprefix(scheme).partition("/")
+        try:
+            folder = place.package(package)
+        except CEIError:
+            if self._meshdir and (path := place.inside(stripped, uri)).is_file():
+                return path
+            raise
+        return within(folder, folder / inside, uri)
+
+
+def _number(element: Element, attribute: str, default: float) -> float:
+    text = element.get(attribute, default)
+    try:
+        return float(text)
+    except ValueError:
+        raise CEIError(f"<{element.tag} {attribute}={text!r}> is not a number.") from None
+
+
+def _strip(element: Element) -> None:
+    kept = _KEPT.get(element.tag)
+    for child in list(element):
+        if kept is not None and child.tag not in kept:
+            element.remove(child)
+        else:
+            _strip(child)
+
+
+def _refuse_xacro(tree: Element) -> None:
+    for element in tree.iter():
+        used = element.tag.startswith("xacro:")
+        kept = element.tag in ("link", "joint", "mesh", "origin", "limit", "mass", "box", "cylinder", "sphere", "axis")
+        if used or (kept and any("${" in value or "$(" in value for value in element.attrib.values())):
+            raise CEIError(
+                f"it is a xacro, not yet a URDF (<{element.tag}>); expand it first: xacro robot.urdf.xacro > robot.urdf"
+            )
+
+
+def _check_one_root(tree: Element) -> None:
+    children = {child.get("link") for child in tree.iterfind("joint/child")}
+    roots = [name for link in tree.iterfind("link") if (name := link.get("name", "")) not in children]
+    if len(roots) > 1:
+        raise CEIError(f"links {', '.join(map(repr, roots[:5]))} hang on no joint; a robot has one base.")
+
+
+def _name_once(tree: Element) -> None:
+    """Leave names that several geoms have to none of them: MuJoCo would leave them to one."""
+    geoms = [*tree.iterfind("link/visual"), *tree.iterfind("link/collision")]
+    count = Counter(geom.get("name") for geom in geoms)
+    for geom in geoms:
+        if count[geom.get("name")] > 1:
+            geom.attrib.pop("name", None)
