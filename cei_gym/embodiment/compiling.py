@@ -56,16 +56,14 @@ def _repaired(spec: mujoco.MjSpec, message: str, notes: list[str]) -> bool:
     index = int(found[1]) if found else -1
     if "mass and inertia of moving bodies" in message:
         culprit = next((b for b in spec.bodies if b.id == index), None)
-        if culprit is None or not _has_no_inertia(culprit):
+        if culprit is None or culprit.explicitinertial:
             return False
-        moved = [b for b in spec.bodies if b.joints and not b.geoms and _has_no_inertia(b)]
+        moved = [b for b in spec.bodies if b.first_joint() and not b.first_geom() and not b.explicitinertial]
         for body in {b.id: b for b in (*moved, culprit)}.values():
             shown = body.name.rpartition("/")[2]
-            notes.append(f"link {shown!r} has no {'inertia' if body.mass else 'mass'}; it gets next to none.")
+            notes.append(f"link {shown!r} has no mass; it gets next to none.")
             body.explicitinertial = True
-            body.mass = max(body.mass, _MASSLESS_KG)
-            body.inertia = np.full(3, _MASSLESS_KG_M2)
-            body.fullinertia[0] = np.nan  # not given
+            body.mass, body.inertia = _MASSLESS_KG, np.full(3, _MASSLESS_KG_M2)
         return True
     if "mesh volume is too small" in message or "inertia to shell" in message:
         mesh = next((m for m in spec.meshes if m.id == index), None)
@@ -75,13 +73,6 @@ def _repaired(spec: mujoco.MjSpec, message: str, notes: list[str]) -> bool:
         mesh.inertia = shell
         return True
     return False
-
-
-def _has_no_inertia(body: mujoco.MjsBody) -> bool:
-    """Whether neither a link's inertial, if it has one, nor its geoms give it mass; not where the two contradict each other."""
-    if not body.explicitinertial:
-        return True
-    return body.mass >= 0 and not np.nan_to_num([*body.inertia, *body.fullinertia]).any()
 
 
 def _exclude_base_contacts(spec: mujoco.MjSpec, held: set[str]) -> None:

@@ -55,7 +55,7 @@ def load_description(place: Place, plain: bool = True) -> Description:
         _check_names(description.spec)
         description.assets.prepare(description.spec)
     except CEIError as error:
-        raise CEIError(f"{name}: {str(error).rstrip('.')}.") from None
+        raise CEIError(f"{name}: {error}{'' if str(error).endswith(('.', '?')) else '.'}") from None
     except (ValueError, OSError, RuntimeError) as error:  # the last where MuJoCo's parser runs out of memory
         raise CEIError(f"{name}: MuJoCo refuses it: {one_line(error)}") from error
     spec = description.spec

@@ -186,7 +186,8 @@ def _build(
         max_velocity |= {END_EFFECTOR_PREFIX + name: speed for name, speed in description.max_velocity.items()}
     name = "-".join(part.name for part in (arm, end_effector) if part is not None)
     model, more = compile_spec(name, spec, [description.assets for description in descriptions], held)
-    return _from_model(name, arm, end_effector, model, couplings, max_velocity, [*notes, *more])
+    notes += [f"{name}: {note}" for note in more]
+    return _from_model(name, arm, end_effector, model, couplings, max_velocity, notes)
 
 
 def _load(part: ArmSpec | EndEffectorSpec, relative_to: Path, plain: bool, notes: list[str]) -> Description:
@@ -326,10 +327,10 @@ def _from_model(
 ) -> Embodiment:
     hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
     names = [model.joint(i).name for i in range(model.njnt)]
-    for joint, kind in zip(names, model.jnt_type, strict=True):
+    for joint, kind, body in zip(names, model.jnt_type, model.jnt_bodyid, strict=True):
         if kind not in (hinge, slide):
             raise CEIError(
-                f"{name}: joint {_public(joint)!r} is neither a hinge nor a slide; a base stands still here, so take a free joint out of the"
+                f"{name}: joint {_public(joint)!r} of link {_public(model.body(body).name)!r} is neither a hinge nor a slide; a base stands still here, so take a free joint out of the"
                 " description, or list an arm's own joints under `joints`."
             )
     public = [_public(n) for n in names]
@@ -384,6 +385,7 @@ def _from_model(
         for q in np.flatnonzero((values < lower - 1e-6) | (values > upper + 1e-6)):
             raise CEIError(
                 f"{name}: {label} puts {public[q]} at {values[q]:.4g}, outside [{lower[q]:.4g}, {upper[q]:.4g}] {units[q]}."
+                f"{''.join(f' ({note})' for note in notes if 'degrees' in note)}"
             )
     half = (embodiment.home + embodiment.closed) / 2
     check_loops(name, model, {"home": embodiment.home, "half closed": half, "closed": embodiment.closed})
@@ -394,12 +396,18 @@ def _with_poses_in_limits(embodiment: Embodiment, given: list[dict[str, float]])
     """Joints that nobody gave a pose rest at 0, or at the end of their range that is nearest to it."""
     coupled = embodiment.coupled
     lower, upper = embodiment.independent_limits
+    for i in np.flatnonzero(~(lower < upper)):
+        tied = [name for name, leader in zip(embodiment.joint_names, coupled.leader, strict=True) if leader == i]
+        raise CEIError(
+            f"{embodiment.name}: within the limits of {', '.join(tied)}, and the command ranges of their servos, {tied[0]} has no room to"
+            " move; say how joints follow each other under `couplings`, with `ignore_limits` for one whose limits do not bind."
+        )
     notes, poses = list(embodiment.notes), []
     for values, qpos in zip(given, (embodiment.home, embodiment.closed), strict=True):
         u = coupled.reduce(qpos)
         for i, q in enumerate(coupled.independent):
             joint, inside = embodiment.joint_names[q], float(np.clip(u[i], lower[i], upper[i]))
-            if joint not in values and lower[i] <= upper[i] and inside != u[i]:
+            if joint not in values and inside != u[i]:
                 u[i] = inside
                 note = (
                     f"{embodiment.name}: no `home` is given for {joint!r}, and 0 is outside its range of {lower[i]:.4g} to"

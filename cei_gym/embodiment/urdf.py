@@ -6,6 +6,7 @@ from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import mujoco
+import numpy as np
 
 from cei_gym.embodiment.assets import Assets
 from cei_gym.embodiment.elements import check_numbers
@@ -21,6 +22,7 @@ _KEPT = {
 }
 """Element -> those in it that are read. A URDF is open to what other programs add (gazebo, ros2_control, transmissions)."""
 
+_ALMOST_A_TURN, _ENDLESS, _LEAST_KG_M2 = 1.98 * pi, 1e6, 1e-9
 _SCHEMES = ("package://", "model://")
 _COMPILER = {"strippath": "false", "discardvisual": "false", "fusestatic": "false", "balanceinertia": "true"}
 
@@ -50,13 +52,15 @@ class UrdfReader:
         self.notes: list[str] = []
         _refuse_xacro(tree)
         _strip(tree)
-        check_numbers(tree, may_be_infinite=("velocity", "effort"))  # for "not known"
         for joint in tree.iterfind("joint"):
             self._read_joint(joint)
+        check_numbers(tree, may_be_infinite=("velocity", "effort"))  # for "not known"
+        for link in tree.iterfind("link"):
+            self._read_inertial(link)
         _check_one_root(tree)
         for mesh in tree.iter("mesh"):
             self._read_mesh(mesh)
-        _name_once(tree)
+        _name_geoms(tree)
         extension = Element("mujoco")
         SubElement(extension, "compiler", _COMPILER)
         tree.insert(0, extension)
@@ -78,11 +82,11 @@ class UrdfReader:
         lower, upper = (0.0 if limit is None else _number(limit, end, 0.0) for end in ("lower", "upper"))
         if limit is not None and 0 < (speed := _number(limit, "velocity", 0.0)) < inf:
             self.max_velocity[name] = speed  # exporters write 0 or infinity for "not known"
+        if limit is not None and (kind == "continuous" or lower < -_ENDLESS or upper > _ENDLESS):
+            for end in ("lower", "upper"):
+                limit.attrib.pop(end, None)
         if kind == "continuous":
-            if limit is not None:
-                for end in ("lower", "upper"):
-                    limit.attrib.pop(end, None)
-            if -2 * pi < lower < upper < 2 * pi:
+            if 0 < upper - lower < _ALMOST_A_TURN:
                 self.notes.append(
                     f"joint {name!r} is continuous: as URDF has it, its limits of {lower:g} to {upper:g} rad do not hold; make it"
                     " revolute if they should."
@@ -95,6 +99,8 @@ class UrdfReader:
 
     def _read_limits(self, joint: Element, name: str, lower: float, upper: float) -> None:
         unit = "rad" if joint.get("type") == "revolute" else "m"
+        if lower < -_ENDLESS or upper > _ENDLESS:
+            lower = upper = 0.0
         if lower > upper:
             raise CEIError(f"joint {name!r}: its lower limit {lower:g} is above its upper {upper:g}.")
         if lower == upper != 0:
@@ -102,7 +108,7 @@ class UrdfReader:
         if lower == upper:
             if unit == "rad":
                 self.notes.append(
-                    f"joint {name!r} has no limits (none are given, or 0 to 0): a whole turn to either side is taken."
+                    f"joint {name!r} has no limits (none are given, 0 to 0, or endless ones): a whole turn to either side is taken."
                 )
             return
         limit = joint.find("limit")
@@ -115,6 +121,27 @@ class UrdfReader:
                     f"joint {name!r}: its <safety_controller> keeps to {ends[0]:g} to {ends[1]:g} {unit}; its limits of {lower:g} to"
                     f" {upper:g} {unit} are taken."
                 )
+
+    def _read_inertial(self, link: Element) -> None:
+        """Leave out what is 0, and mend inertias that no body has: MuJoCo refuses both, and only holding torques depend on them."""
+        inertial = link.find("inertial")
+        mass, inertia = (None if inertial is None else inertial.find(tag) for tag in ("mass", "inertia"))
+        if inertial is None or mass is None or inertia is None:
+            return
+        keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        xx, yy, zz, xy, xz, yz = (_number(inertia, key, 0.0) for key in keys)
+        weight_kg = _number(mass, "value", 0.0)
+        if weight_kg == 0 and not any((xx, yy, zz, xy, xz, yz)):
+            link.remove(inertial)
+            return
+        moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if weight_kg > 0 and moments[0] <= 0:
+            M = axes @ np.diag(np.maximum(moments, max(1e-4 * moments[2], _LEAST_KG_M2))) @ axes.T
+            for key, at in zip(keys, ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), strict=True):
+                inertia.set(key, repr(float(M[at])))
+            self.notes.append(
+                f"link {link.get('name', '')!r}: no body has its inertia; the nearest possible one is taken."
+            )
 
     def _read_mesh(self, mesh: Element) -> None:
         uri = mesh.get("filename", "")
@@ -130,7 +157,7 @@ class UrdfReader:
         if scheme is None:
             path = place.inside(beside / uri.removeprefix("file://"), uri)
             return place.inside(stripped, uri) if self._meshdir and not path.is_file() else path
-        package, _, inside = uri.removeprefix(scheme).partition("/")
+        package, _, inside = uri.removeprefix(scheme).lstrip("/").partition("/")
         try:
             folder = place.package(package)
         except CEIError:
@@ -174,10 +201,11 @@ def _check_one_root(tree: Element) -> None:
         raise CEIError(f"links {', '.join(map(repr, roots[:5]))} hang on no joint; a robot has one base.")
 
 
-def _name_once(tree: Element) -> None:
-    """Leave names that several geoms have to none of them: MuJoCo would leave them to one."""
-    geoms = [*tree.iterfind("link/visual"), *tree.iterfind("link/collision")]
-    count = Counter(geom.get("name") for geom in geoms)
-    for geom in geoms:
-        if count[geom.get("name")] > 1:
-            geom.attrib.pop("name", None)
+def _name_geoms(tree: Element) -> None:
+    """Give every geom a name of its own, `<link>.<number>` where it has none: MuJoCo's parser would go on with the one before."""
+    links = {link: [geom for geom in link if geom.tag in ("visual", "collision")] for link in tree.iterfind("link")}
+    count = Counter(geom.get("name", "") for geoms in links.values() for geom in geoms)
+    for link, geoms in links.items():
+        for number, geom in enumerate(geoms):
+            if not geom.get("name") or count[geom.get("name", "")] > 1:
+                geom.set("name", f"{link.get('name', '')}.{number}")
