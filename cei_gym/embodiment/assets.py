@@ -57,7 +57,8 @@ class Assets:
         Raises:
             CEIError: it cannot be read, or is too large.
         """
-        if (path, variant) not in self._known:
+        use = (path, f"mesh {variant}")
+        if use not in self._known:
             content = read_file(path, name, MAX_BYTES)
             try:
                 mesh = read_mesh(content, path.name, lambda beside: self._beside(path, beside), self.plain)
@@ -65,11 +66,11 @@ class Assets:
                 raise CEIError(f"mesh {name!r}: {error}.") from None
             except MemoryError:
                 raise CEIError(f"mesh {name!r}: it needs too much memory.") from None
-            self._known[path, variant] = key = self._add(path, mesh.content, mesh.suffix, variant)
+            self._known[use] = key = self._add(path, mesh.content, mesh.suffix, variant)
             self.meshes[key], self.names[key] = mesh, name
             if sum(m.triangles for m in self.meshes.values()) > MAX_TOTAL_TRIANGLES:
                 raise CEIError(f"its meshes have more than {MAX_TOTAL_TRIANGLES} triangles; simplify them.")
-        return self._known[path, variant]
+        return self._known[use]
 
     def texture(self, path: Path, name: str) -> str:
         """Key of a texture, as PNG.
@@ -79,7 +80,7 @@ class Assets:
         """
         from PIL import Image
 
-        if (path, "") not in self._known:
+        if (path, "texture") not in self._known:
             content = read_file(path, name, MAX_BYTES)
             try:
                 with Image.open(io.BytesIO(content)) as image:
@@ -92,8 +93,8 @@ class Assets:
                 raise
             except Exception as error:  # Pillow's readers fail on nonsense in many ways
                 raise CEIError(f"texture {name!r} cannot be read: {one_line(error, 80)}.") from None
-            self._known[path, ""] = self._add(path, content, ".png", "")
-        return self._known[path, ""]
+            self._known[path, "texture"] = self._add(path, content, ".png", "")
+        return self._known[path, "texture"]
 
     def count_texels(self, texels: int, name: str) -> None:
         """Add to the number of texels.
@@ -112,11 +113,12 @@ class Assets:
             CEIError: a mesh is of a size that no link has.
         """
         for mesh in spec.meshes:
-            if mesh.file in self.meshes:
-                vertices = self.meshes[mesh.file].vertices
+            file = self.meshes.get(mesh.file)
+            vertices = np.reshape(mesh.uservert, (-1, 3)) if file is None else file.vertices
+            if file is not None:
                 self._check_size(mesh.file, np.ptp(vertices, axis=0), np.asarray(mesh.scale))
-                if len(vertices) > _FINE_HULL and not 0 < mesh.maxhullvert <= _FINE_HULL:
-                    mesh.maxhullvert = _FINE_HULL
+            if len(vertices) > _FINE_HULL and not 0 < mesh.maxhullvert <= _FINE_HULL:
+                mesh.maxhullvert = _FINE_HULL
 
     def _check_size(self, key: str, extents: np.ndarray, scale: np.ndarray) -> None:
         size_m, unscaled_m = float(np.max(extents * np.abs(scale))), float(extents.max())

@@ -46,6 +46,10 @@ def declared_couplings(
             tied |= {equality.name1, equality.name2}
         _check_names(spec, equality)
         joints = _joints(spec, equality)
+        if not joints and not given:  # of a spatial tendon, which may run over any
+            raise CEIError(
+                f"{_named('tendon', equality.name or equality.name1)} holds a spatial tendon, which is no coupling of joints; {_HOW}."
+            )
         free = joints - given.keys()
         if not joints & names or (len(free) < 2 and joints & given.keys()):
             continue  # of another part, or the YAML says it otherwise
@@ -113,10 +117,7 @@ def _tendon_relation(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> _Rela
     weights: dict[str, float] = {}
     for name, sign in ((equality.name1, 1.0), (equality.name2, -a1)):
         if name:
-            parts = _tendon_weights(spec.tendon(name))
-            if not parts:
-                raise CEIError(f"{what} holds the spatial tendon {name!r}, which is no coupling of joints; {_HOW}.")
-            for joint, weight in parts.items():
+            for joint, weight in _tendon_weights(spec.tendon(name)).items():
                 weights[joint] = weights.get(joint, 0.0) + sign * weight
     total = a0 + sum(weight * spec.joint(joint).ref for joint, weight in weights.items())
     return _Relation(what, {joint: weight for joint, weight in weights.items() if weight}, float(total))

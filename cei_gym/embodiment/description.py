@@ -53,6 +53,7 @@ def load_description(place: Place, plain: bool = True) -> Description:
     try:
         description = _load(place, Assets(place, plain))
         _check_names(description.spec)
+        _check_shapes(description.spec)
         description.assets.prepare(description.spec)
     except CEIError as error:
         raise CEIError(f"{name}: {error}{'' if str(error).endswith(('.', '?')) else '.'}") from None
@@ -86,6 +87,13 @@ def _check_names(spec: mujoco.MjSpec) -> None:
         count = Counter(element.name for element in elements if element.name)
         if repeated := [name for name, n in count.items() if n > 1]:
             raise CEIError(f"two {kind} are called {repeated[0]!r}")
+
+
+def _check_shapes(spec: mujoco.MjSpec) -> None:
+    odd = {mujoco.mjtGeom.mjGEOM_HFIELD: "height field", mujoco.mjtGeom.mjGEOM_SDF: "signed distance field"}
+    for geom in spec.geoms:
+        if geom.type in odd:
+            raise CEIError(f"geom {geom.name!r} is a {odd[geom.type]}; a robot's shapes are meshes and simple ones")
 
 
 def _without_planes(spec: mujoco.MjSpec) -> list[str]:

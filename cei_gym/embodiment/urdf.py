@@ -1,7 +1,7 @@
 """URDF to `mujoco.MjSpec`: what describes a robot is kept, in the way that MuJoCo's parser reads right."""
 
 from collections import Counter
-from math import inf, pi
+from math import inf, isnan, pi
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -52,9 +52,9 @@ class UrdfReader:
         self.notes: list[str] = []
         _refuse_xacro(tree)
         _strip(tree)
+        check_numbers(tree, may_be_infinite=("velocity", "effort", "lower", "upper"))  # for "not known"
         for joint in tree.iterfind("joint"):
             self._read_joint(joint)
-        check_numbers(tree, may_be_infinite=("velocity", "effort"))  # for "not known"
         for link in tree.iterfind("link"):
             self._read_inertial(link)
         _check_one_root(tree)
@@ -82,7 +82,7 @@ class UrdfReader:
         lower, upper = (0.0 if limit is None else _number(limit, end, 0.0) for end in ("lower", "upper"))
         if limit is not None and 0 < (speed := _number(limit, "velocity", 0.0)) < inf:
             self.max_velocity[name] = speed  # exporters write 0 or infinity for "not known"
-        if limit is not None and (kind == "continuous" or lower < -_ENDLESS or upper > _ENDLESS):
+        if limit is not None and (kind == "continuous" or not max(abs(lower), abs(upper)) <= _ENDLESS):
             for end in ("lower", "upper"):
                 limit.attrib.pop(end, None)
         if kind == "continuous":
@@ -99,7 +99,9 @@ class UrdfReader:
 
     def _read_limits(self, joint: Element, name: str, lower: float, upper: float) -> None:
         unit = "rad" if joint.get("type") == "revolute" else "m"
-        if lower < -_ENDLESS or upper > _ENDLESS:
+        if endless := [end for end, value in (("lower", lower), ("upper", upper)) if not abs(value) <= _ENDLESS]:
+            if unit == "m" or isnan(lower) or isnan(upper):
+                raise CEIError(f"joint {name!r}: its {' and '.join(endless)} limit is not within {_ENDLESS:g} {unit}.")
             lower = upper = 0.0
         if lower > upper:
             raise CEIError(f"joint {name!r}: its lower limit {lower:g} is above its upper {upper:g}.")
