@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isclose
 
 import mujoco
 
@@ -18,6 +19,18 @@ class _Relation:
     what: str
     weights: dict[str, float]
     total: float
+
+    def coupling(self, follower: str, leader: str) -> Coupling:
+        """The same, with one of its two joints following the other."""
+        weight = self.weights[follower]
+        return Coupling(leader, -self.weights[leader] / weight, self.total / weight)
+
+    def repeats(self, follower: str, coupling: Coupling) -> bool:
+        """Whether it says once more what a coupling says."""
+        if self.weights.keys() != {follower, coupling.joint} or not self.weights[follower]:
+            return False
+        same = self.coupling(follower, coupling.joint)
+        return isclose(same.scale, coupling.scale) and isclose(same.offset, coupling.offset, abs_tol=1e-9)
 
 
 def declared_couplings(
@@ -54,9 +67,10 @@ def declared_couplings(
         if not joints & names or (len(free) < 2 and joints & given.keys()):
             continue  # of another part, or the YAML says it otherwise
         relation = _RELATIONS[equality.type](spec, equality)
+        if any(relation.repeats(follower, coupling) for follower, coupling in couplings.items()):
+            continue
         follower, leader = _roles(relation, [j for j in relation.weights if j in free], couplings, driven)
-        scale = -relation.weights[leader] / relation.weights[follower]
-        couplings[follower] = Coupling(leader, scale, relation.total / relation.weights[follower])
+        couplings[follower] = relation.coupling(follower, leader)
     return couplings, [*_about_tendons(spec, names, tied, couplings | dict(given))]
 
 

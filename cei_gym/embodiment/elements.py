@@ -6,15 +6,11 @@ from xml.etree.ElementTree import Element
 from cei_gym.errors import CEIError
 
 _MAX_NUMBER = 1e10  # MuJoCo's mjMAXVAL
+_LONGEST_NAME = 200
 _MOST = {
-    "body": 1000,
-    "link": 1000,
-    "joint": 1000,
-    "geom": 5000,
-    "visual": 5000,
-    "collision": 5000,
+    **dict.fromkeys(("body", "link", "joint"), 1000),
+    **dict.fromkeys(("geom", "visual", "collision", "mesh"), 2000),
     "site": 5000,
-    "mesh": 5000,
 }
 """What one description may have of each: some ten times what the largest robots have."""
 
@@ -26,6 +22,11 @@ def check_counts(tree: Element) -> None:
         CEIError: there are too many elements of a kind.
     """
     count = Counter(element.tag for element in tree.iter())
+    for element in tree.iter():
+        if len(name := element.get("name", "")) > _LONGEST_NAME:
+            raise CEIError(
+                f"<{element.tag} name={name[:40]!r}...> has {len(name)} letters; {_LONGEST_NAME} are allowed."
+            )
     for tag, most in _MOST.items():
         if count[tag] > most:
             raise CEIError(f"it has {count[tag]} <{tag}> elements; {most} are allowed.")

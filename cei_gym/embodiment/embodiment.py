@@ -396,17 +396,20 @@ def _with_poses_in_limits(embodiment: Embodiment, given: list[dict[str, float]])
     """Joints that nobody gave a pose rest at 0, or at the end of their range that is nearest to it."""
     coupled = embodiment.coupled
     lower, upper = embodiment.independent_limits
+    notes, poses = list(embodiment.notes), []
     for i in np.flatnonzero(~(lower < upper)):
         tied = [name for name, leader in zip(embodiment.joint_names, coupled.leader, strict=True) if leader == i]
-        raise CEIError(
-            f"{embodiment.name}: within the limits of {', '.join(tied)}, and the command ranges of their servos, {tied[0]} has no room to"
-            " move; say how joints follow each other under `couplings`, with `ignore_limits` for one whose limits do not bind."
+        room = (
+            f"the limits of {', '.join(tied)}, which follow each other" if len(tied) > 1 else f"the limits of {tied[0]}"
         )
-    notes, poses = list(embodiment.notes), []
+        remedy = "say how they do under `couplings`, with `ignore_limits` for one whose limits do not bind"
+        if lower[i] > upper[i] + 1e-9:
+            raise CEIError(f"{embodiment.name}: {room}, leave no position for {tied[0]}; {remedy}.")
+        notes.append(f"{embodiment.name}: {room}, leave {tied[0]} no room to move; {remedy}.")
     for values, qpos in zip(given, (embodiment.home, embodiment.closed), strict=True):
         u = coupled.reduce(qpos)
         for i, q in enumerate(coupled.independent):
-            joint, inside = embodiment.joint_names[q], float(np.clip(u[i], lower[i], upper[i]))
+            joint, inside = embodiment.joint_names[q], float(np.clip(u[i], lower[i], max(lower[i], upper[i])))
             if joint not in values and inside != u[i]:
                 u[i] = inside
                 note = (
