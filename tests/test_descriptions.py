@@ -205,11 +205,16 @@ def test_a_mesh_in_millimetres_is_refused_with_the_scale_that_would_be_right(tmp
     np.testing.assert_allclose(np.ptp(extents(hand, "finger"), axis=0), [0.01, 0.02, 0.06], atol=1e-6)
 
 
-def test_a_flat_visual_mesh_is_kept(tmp_path: Path) -> None:
+def test_a_flat_mesh_is_seen_and_touches_nothing(tmp_path: Path) -> None:
     corners = [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]
     trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]]).export(tmp_path / "m.stl")
-    hand = hand_of(tmp_path / "hand.urdf", finger_urdf(mesh_tag("m.stl", "visual")))
-    np.testing.assert_allclose(np.ptp(extents(hand, "finger", visual=True), axis=0), [0.1, 0.1, 0], atol=1e-6)
+    for kind, notes in [
+        ("visual", ()),
+        ("collision", ("Hand: geom 'finger.0' is flat; it is seen, and touches nothing.",)),
+    ]:
+        hand = hand_of(tmp_path / "hand.urdf", finger_urdf(mesh_tag("m.stl", kind)))
+        np.testing.assert_allclose(np.ptp(extents(hand, "finger", visual=True), axis=0), [0.1, 0.1, 0], atol=1e-6)
+        assert hand.notes == notes
 
 
 # -- third-party robots --------------------------------------------------------------------------------------
@@ -546,8 +551,8 @@ def test_joints_that_a_coupling_leaves_no_room_are_refused(tmp_path: Path) -> No
     couplings = {"b": {"joint": "a", "offset": 5}}
     message = refusal(lambda: tied(tmp_path, more, couplings=couplings))
     assert "the limits of a, b, which follow each other, leave no position for a" in message
-    (note,) = tied(tmp_path, more, couplings={"b": {"joint": "a", "offset": 3}}).notes
-    assert "leave a no room to move" in note
+    notes = tied(tmp_path, more, couplings={"b": {"joint": "a", "offset": 3}}).notes
+    assert "leave a no room to move" in notes[0]
 
 
 def test_an_arm_has_couplings_and_an_angle_too(tmp_path: Path) -> None:

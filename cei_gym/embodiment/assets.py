@@ -18,6 +18,7 @@ MAX_TOTAL_BYTES = 512_000_000
 MAX_TOTAL_TRIANGLES = 4_000_000
 MAX_TEXELS = 16_000_000
 
+_FLAT = 1e-6  # thickness over length
 _SAME_MM = 1.0  # how far a compiled mesh may be from its file
 _LARGEST_M = 5.0  # no link is larger
 _SMALLEST_M = 1e-4
@@ -106,12 +107,17 @@ class Assets:
         if not 0 <= texels <= self._texels <= MAX_TEXELS:
             raise CEIError(f"texture {name!r}: textures have more than {MAX_TEXELS} texels.")
 
-    def prepare(self, spec: mujoco.MjSpec) -> None:
-        """Check sizes of a parsed description's meshes, and bound the work on their convex hulls.
+    def prepare(self, spec: mujoco.MjSpec) -> list[str]:
+        """Check sizes of a parsed description's meshes, bound the work on their convex hulls, and have flat ones touch nothing: they
+        have no hull.
+
+        Returns:
+            Sentences about flat ones.
 
         Raises:
             CEIError: a mesh is of a size that no link has.
         """
+        flat = set()
         for mesh in spec.meshes:
             file = self.meshes.get(mesh.file)
             vertices = np.reshape(mesh.uservert, (-1, 3)) if file is None else file.vertices
@@ -119,6 +125,15 @@ class Assets:
                 self._check_size(mesh.file, np.ptp(vertices, axis=0), np.asarray(mesh.scale))
             if len(vertices) > _FINE_HULL and not 0 < mesh.maxhullvert <= _FINE_HULL:
                 mesh.maxhullvert = _FINE_HULL
+            if len(vertices) and _is_flat(vertices * mesh.scale):
+                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+                flat.add(mesh.name)
+        notes = []
+        for geom in spec.geoms:
+            if geom.meshname in flat and geom.type == mujoco.mjtGeom.mjGEOM_MESH and (geom.contype or geom.conaffinity):
+                geom.contype = geom.conaffinity = 0
+                notes.append(f"geom {geom.name!r} is flat; it is seen, and touches nothing.")
+        return notes
 
     def _check_size(self, key: str, extents: np.ndarray, scale: np.ndarray) -> None:
         size_m, unscaled_m = float(np.max(extents * np.abs(scale))), float(extents.max())
@@ -182,6 +197,11 @@ def check_compiled(spec: mujoco.MjSpec, model: mujoco.MjModel, assets: list[Asse
                 f"mesh {each.names[declared.file]!r} of {each.place.path.name} comes out {off_mm:.3g} mm off what its file shows;"
                 " has it points that belong to no triangle?"
             )
+
+
+def _is_flat(vertices: np.ndarray) -> bool:
+    deviations = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(vertices.T)), 0))
+    return len(vertices) > 3 and deviations[0] < _FLAT * deviations[2]
 
 
 def _rotated(points: np.ndarray, quat_wxyz: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ def compile_spec(
 ) -> tuple[mujoco.MjModel, list[str]]:
     """Compile an embodiment.
 
-    A link without mass (a tool frame on a joint) gets next to none, a flat visual mesh counts as a thin shell, and a base does not
+    A link without mass (a tool frame on a joint) gets next to none, a mesh without volume counts as a thin shell, and a base does not
     touch the links on its own joints: MuJoCo sees to that for a link that moves and not for one that is fixed to the world.
 
     Args:

@@ -54,7 +54,8 @@ def load_description(place: Place, plain: bool = True) -> Description:
         description = _load(place, Assets(place, plain))
         _check_names(description.spec)
         _check_shapes(description.spec)
-        description.assets.prepare(description.spec)
+        _name_geoms(description.spec)
+        description.notes.extend(description.assets.prepare(description.spec))
     except CEIError as error:
         raise CEIError(f"{name}: {error}{'' if str(error).endswith(('.', '?')) else '.'}") from None
     except (ValueError, OSError, RuntimeError) as error:  # the last where MuJoCo's parser runs out of memory
@@ -62,7 +63,6 @@ def load_description(place: Place, plain: bool = True) -> Description:
     spec = description.spec
     spec.compiler.LRopt.mode = 0  # no simulation for the lengths of muscles
     description.notes.extend(_without_planes(spec))
-    _name_geoms(spec)
     return description
 
 

@@ -22,7 +22,7 @@ _KEPT = {
 }
 """Element -> those in it that are read. A URDF is open to what other programs add (gazebo, ros2_control, transmissions)."""
 
-_ALMOST_A_TURN, _ENDLESS, _LEAST_KG_M2 = 1.98 * pi, 1e6, 1e-9
+_ALMOST_A_TURN, _ENDLESS, _LEAST_MOMENT_KG_M2 = 1.98 * pi, 1e6, 1e-12
 _SCHEMES = ("package://", "model://")
 _COMPILER = {"strippath": "false", "discardvisual": "false", "fusestatic": "false", "balanceinertia": "true"}
 
@@ -137,8 +137,8 @@ class UrdfReader:
             link.remove(inertial)
             return
         moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if weight_kg > 0 and moments[0] <= 0:
-            M = axes @ np.diag(np.maximum(moments, max(1e-4 * moments[2], _LEAST_KG_M2))) @ axes.T
+        if weight_kg > 0 and moments[0] < _LEAST_MOMENT_KG_M2:
+            M = axes @ np.diag(np.maximum(moments, max(1e-4 * moments[2], _LEAST_MOMENT_KG_M2))) @ axes.T
             for key, at in zip(keys, ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), strict=True):
                 inertia.set(key, repr(float(M[at])))
             self.notes.append(
