@@ -790,7 +790,7 @@ def _mjcf_kinds(case: Callable[..., Case], file: str, parts: str) -> Iterator[Ca
     tiles = "".join(f'<texture name="t{i}" type="2d" builtin="flat" width="4000" height="4000"/>' for i in range(20))
     yield case("many large textures", adds(asset.format(tiles)), "texels")
     builtin = '<mesh name="x" builtin="supersphere" params="60000 1 1"/>'
-    yield case("a mesh made of formulas", adds(asset.format(builtin)), "params")
+    yield case("a mesh made of formulas", adds(asset.format(builtin)), "<mesh builtin='supersphere'> is not allowed")
 
     def bodies(n: int, content: str = '<geom size="0.01"/>') -> Spoil:
         many = "".join(f'<body name="x{i}">{content}</body>' for i in range(n))
@@ -799,6 +799,10 @@ def _mjcf_kinds(case: Callable[..., Case], file: str, parts: str) -> Iterator[Ca
     yield case("20000 bodies", bodies(20_000), "20003 <body>")
     yield case("20000 geoms", bodies(1, '<geom size="0.01"/>' * 20_000), "<geom>")
     yield case("20000 sites", bodies(1, "<site/>" * 20_000), "<site>")
+    motors = '<motor joint="left"/>' * 20_000
+    yield case(
+        "20000 motors", change(file, "</mujoco>", f"<actuator>{motors}</actuator></mujoco>"), "<actuator> has 20000"
+    )
     yield case("2000 joints", bodies(900, "<joint/>" * 3 + '<geom size="0.01"/>'), "<joint>")
     included = put("many.xml", "<mujoco><worldbody>" + "<site/>" * 150_000 + "</worldbody></mujoco>")
     again = put("more.xml", "<mujoco><worldbody>" + "<site/>" * 150_000 + "</worldbody></mujoco>")

@@ -785,25 +785,32 @@ def test_floors_and_what_hangs_elsewhere_are_left_out_and_said(tmp_path: Path) -
 
 
 def test_what_a_simulation_would_set_aside_is_not_read(tmp_path: Path) -> None:
-    """Gigabytes by a number, contacts and gravity off: of a simulation, not of a robot."""
+    """Gigabytes by a number, hours for the lengths of muscles, contacts and gravity off: of a simulation, not of a robot."""
     huge = "2000000000"
     simulation = f"""<size nkey="{huge}" nuser_body="{huge}" nuser_geom="{huge}" nuserdata="{huge}" njmax="{huge}" nconmax="{huge}"
       memory="900G"/><visual><global offwidth="{huge}" offheight="{huge}"/><quality shadowsize="{huge}" numquads="{huge}"/></visual>
       <option sdf_iterations="{huge}" gravity="0 0 0"><flag contact="disable"/></option><statistic extent="1e9"/>
       <custom><numeric name="x" size="{huge}" data="1"/></custom><keyframe><key qpos="1 2 3 4 5"/></keyframe>
       <sensor><jointpos joint="j" nsample="{huge}" interval="1"/></sensor>
-      <actuator><motor joint="j" nsample="{huge}" delay="1"/><muscle joint="j"/></actuator>"""
-    text = f"""<mujoco><compiler angle="radian"><lengthrange inttotal="1e9" timestep="1e-9" mode="all"/></compiler>{simulation}
-      <worldbody><body name="palm"><geom size=".1" user="1 2"/><body name="f"><joint name="j" range="0 1"/><body name="g"><joint name="k"
-      range="0 1"/><geom size=".1"/></body></body></body></worldbody></mujoco>"""
+      <actuator><motor joint="j" nsample="{huge}" delay="1"/><muscle joint="j"/>{MUSCLE * 500}</actuator>"""
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        f"""<mujoco><compiler angle="radian"><lengthrange inttotal="1e9" timestep="1e-9" mode="all"/></compiler>{simulation}
+        <worldbody><body name="base"><geom size=".1" user="1 2"/><body name="f"><joint name="j" range="0 1"/><body name="g"><joint
+        name="k" range="0 1"/><geom size=".1"/></body></body></body></worldbody></mujoco>"""
+    )
     start = time.perf_counter()
-    hand = hand_of(tmp_path / "hand.xml", text)
+    arm = build_embodiment(ArmSpec("Arm", str(path), "g", {}), None)
     assert time.perf_counter() - start < 10
-    assert hand.notes == ("Hand: link 'f' has no mass; it gets next to none.",)
-    model = hand.model
+    assert arm.notes == ("Arm: link 'f' has no mass; it gets next to none.",)
+    model = arm.model
     assert (model.nkey, model.nsensor, model.nuser_body, model.nhistory) == (0, 0, 0, 0)
     np.testing.assert_array_equal(model.opt.gravity, [0, 0, -9.81])
-    assert contacts(model) == {frozenset(("ee/palm", "ee/g"))}
+    assert contacts(model) == {frozenset(("base", "g"))}
+
+
+MUSCLE = """<general joint="j" gaintype="muscle" biastype="muscle" dyntype="muscle" gainprm="0.75 1.05 1000 200 0.5 1.6 1.5 1.3 1.2"
+biasprm="0.75 1.05 1000 200 0.5 1.6 1.5 1.3 1.2"/>"""
 
 
 def test_a_fine_collision_mesh_takes_no_minute(tmp_path: Path) -> None:
@@ -814,6 +821,19 @@ def test_a_fine_collision_mesh_takes_no_minute(tmp_path: Path) -> None:
     assert vertices == 5000 < hand.model.mesh_vertnum[0]
     hull = hand.model.mesh_vert[hand.model.mesh_graph[2 + vertices :][:vertices]]
     np.testing.assert_allclose(np.ptp(hull, axis=0), [0.2] * 3, atol=2e-4)
+
+
+def test_triangles_count_as_often_as_they_are_used(tmp_path: Path) -> None:
+    trimesh.creation.icosphere(5, 0.1).export(tmp_path / "m.stl")  # 20480 triangles
+    for text in (
+        finger_urdf(mesh_tag("m.stl", "visual") * 200),
+        finger_urdf("".join(mesh_tag("m.stl", "visual", f"1 1 1.{i:03}") for i in range(200))),
+    ):
+        message = refusal(lambda text=text: hand_of(tmp_path / "hand.urdf", text))
+        assert "more than 4000000 triangles" in message
+    uses = "".join(f'<mesh name="m{i}" file="m.stl"/>' for i in range(200))
+    text = f'<mujoco><asset>{uses}</asset><worldbody><body name="palm"><geom size="0.1"/></body></worldbody></mujoco>'
+    assert "more than 4000000 triangles" in refusal(lambda: hand_of(tmp_path / "hand.xml", text))
 
 
 # -- what is said --------------------------------------------------------------------------------------------

@@ -45,6 +45,7 @@ class Assets:
     meshes: dict[str, MeshFile] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     _known: dict[tuple[Path, str], str] = field(default_factory=dict)
+    _sizes: dict[Path, int] = field(default_factory=dict)
     _texels: int = 0
 
     def mesh(self, path: Path, name: str, variant: str = "") -> str:
@@ -69,8 +70,6 @@ class Assets:
                 raise CEIError(f"mesh {name!r}: it needs too much memory.") from None
             self._known[use] = key = self._add(path, mesh.content, mesh.suffix, variant)
             self.meshes[key], self.names[key] = mesh, name
-            if sum(m.triangles for m in self.meshes.values()) > MAX_TOTAL_TRIANGLES:
-                raise CEIError(f"its meshes have more than {MAX_TOTAL_TRIANGLES} triangles; simplify them.")
         return self._known[use]
 
     def texture(self, path: Path, name: str) -> str:
@@ -81,11 +80,13 @@ class Assets:
         """
         from PIL import Image
 
-        if (path, "texture") not in self._known:
+        use = (path, "texture")
+        if use not in self._known:
             content = read_file(path, name, MAX_BYTES)
             try:
                 with Image.open(io.BytesIO(content)) as image:
-                    self.count_texels(image.width * image.height, name)
+                    self._sizes[path] = image.width * image.height
+                    self.count_texels(0 if image.format == "PNG" else self._sizes[path], name)
                     if image.format != "PNG":
                         written = io.BytesIO()
                         image.convert("RGB").save(written, "PNG")
@@ -94,8 +95,9 @@ class Assets:
                 raise
             except Exception as error:  # Pillow's readers fail on nonsense in many ways
                 raise CEIError(f"texture {name!r} cannot be read: {one_line(error, 80)}.") from None
-            self._known[path, "texture"] = self._add(path, content, ".png", "")
-        return self._known[path, "texture"]
+            self._known[use] = self._add(path, content, ".png", "")
+        self.count_texels(self._sizes[path], name)
+        return self._known[use]
 
     def count_texels(self, texels: int, name: str) -> None:
         """Add to the number of texels.
@@ -117,9 +119,10 @@ class Assets:
         Raises:
             CEIError: a mesh is of a size that no link has.
         """
-        flat = set()
+        flat, triangles = set(), {}
         for mesh in spec.meshes:
             file = self.meshes.get(mesh.file)
+            triangles[mesh.name] = len(mesh.userface) // 3 if file is None else file.triangles
             vertices = np.reshape(mesh.uservert, (-1, 3)) if file is None else file.vertices
             if file is not None:
                 self._check_size(mesh.file, np.ptp(vertices, axis=0), np.asarray(mesh.scale))
@@ -129,6 +132,11 @@ class Assets:
                 mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
                 flat.add(mesh.name)
         notes = []
+        in_geoms = sum(triangles.get(geom.meshname, 0) for geom in spec.geoms)
+        if max(in_geoms, sum(triangles.values())) > MAX_TOTAL_TRIANGLES:
+            raise CEIError(
+                f"its meshes, in all their uses, have more than {MAX_TOTAL_TRIANGLES} triangles; simplify them."
+            )
         for geom in spec.geoms:
             if geom.meshname in flat and geom.type == mujoco.mjtGeom.mjGEOM_MESH and (geom.contype or geom.conaffinity):
                 geom.contype = geom.conaffinity = 0

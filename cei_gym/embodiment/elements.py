@@ -13,6 +13,8 @@ _MOST = {
     "site": 5000,
 }
 """What one description may have of each: some ten times what the largest robots have."""
+_SECTIONS = ("asset", "actuator", "tendon", "equality", "contact", "default")
+_MOST_IN_A_SECTION = 4000
 
 
 def check_counts(tree: Element) -> None:
@@ -30,6 +32,9 @@ def check_counts(tree: Element) -> None:
     for tag, most in _MOST.items():
         if count[tag] > most:
             raise CEIError(f"it has {count[tag]} <{tag}> elements; {most} are allowed.")
+    for section in _SECTIONS:
+        if (n := sum(map(len, tree.findall(section)))) > _MOST_IN_A_SECTION:
+            raise CEIError(f"its <{section}> has {n} elements; {_MOST_IN_A_SECTION} are allowed.")
 
 
 def check_numbers(tree: Element, may_be_infinite: tuple[str, ...] = ()) -> None:

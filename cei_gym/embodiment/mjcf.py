@@ -31,7 +31,6 @@ _COMPILER_LEFT_OUT = (
 )
 _JOINT_ACTUATORS = ("motor", "position", "general", "velocity", "intvelocity", "damper")
 _TEXTURE_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
-_MOST_OF_A_BUILTIN_MESH = 100
 
 
 def read_mjcf(tree: Element, assets: Assets) -> mujoco.MjSpec:
@@ -89,8 +88,10 @@ def _folders(tree: Element) -> dict[str, str]:
 
 
 def _read_mesh(mesh: Element, document: Document, folders: dict[str, str], assets: Assets) -> None:
-    if any(float(n) > _MOST_OF_A_BUILTIN_MESH for n in mesh.get("params", "").split() if n[:1].isdigit()):
-        raise CEIError(f"<mesh params={mesh.get('params', '')[:60]!r}> is not within {_MOST_OF_A_BUILTIN_MESH}.")
+    if mesh.get("builtin", "none") != "none":
+        raise CEIError(
+            f"<mesh builtin={mesh.get('builtin', '')[:40]!r}> is not allowed in a robot description; put it into a file."
+        )
     if (file := mesh.get("file")) is None:
         return
     name = _file(file, folders)
