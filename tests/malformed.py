@@ -921,16 +921,16 @@ def _mesh_formats() -> Iterator[Case]:
     ]:
         yield case(name, "gltf", json.dumps(gltf).encode(), says)
     yield case("an entity bomb", "dae", f"{BOMB}<COLLADA>&l8;</COLLADA>".encode(), "entities are not allowed")
-    yield case("nothing in it", "dae", _collada(""), "finger.dae")
-    yield case("a unit of none", "dae", _collada("", unit="far"), "its unit")
+    yield case("nothing in it", "dae", collada(""), "finger.dae")
+    yield case("a unit of none", "dae", collada("", unit="far"), "its unit")
     nodes = (
         "".join(f'<node id="n{i}">' + f'<instance_node url="#n{i + 1}"/>' * 10 + "</node>" for i in range(12))
         + '<node id="n12"><instance_geometry url="#g"/></node>'
     )
-    yield case("nodes of ten nodes of ten nodes", "dae", _collada(nodes), "too often")
-    yield case("a node in itself", "dae", _collada('<node id="n"><instance_node url="#n"/></node>'), "too often")
+    yield case("nodes of ten nodes of ten nodes", "dae", collada(nodes), "too often")
+    yield case("a node in itself", "dae", collada('<node id="n"><instance_node url="#n"/></node>'), "too often")
     chain = "".join(f'<node id="n{i}"><instance_node url="#n{i + 1}"/></node>' for i in range(5000))
-    yield case("a chain of 5000 nodes", "dae", _collada(chain), "finger.dae")
+    yield case("a chain of 5000 nodes", "dae", collada(chain), "finger.dae")
 
 
 def _gltf(uri: str) -> dict[str, Any]:
@@ -947,7 +947,7 @@ def _gltf(uri: str) -> dict[str, Any]:
     }
 
 
-def _collada(nodes: str, unit: str = "1") -> bytes:
+def collada(nodes: str, unit: str = "1") -> bytes:
     """A pyramid, placed by nodes."""
     points = "0 0 0 0.02 0 0 0 0.02 0 0 0 0.05"
     return f"""<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset><unit meter="{unit}"/></asset>

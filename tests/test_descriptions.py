@@ -171,10 +171,10 @@ def test_formats(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize(("unit", "size_m"), [("1", 0.05), ("0.001", 5e-5), ("0.0254", 0.05 * 0.0254)])
 def test_a_collada_has_its_unit_and_instances(tmp_path: Path, unit: str, size_m: float) -> None:
-    from malformed import _collada  # the smallest that there is
+    from malformed import collada  # the smallest that there is
 
     nodes = '<node id="n"><matrix>1 0 0 0 0 1 0 0 0 0 1 0.2 0 0 0 1</matrix><instance_geometry url="#g"/></node>'
-    (tmp_path / "m.dae").write_bytes(_collada(nodes, unit))
+    (tmp_path / "m.dae").write_bytes(collada(nodes, unit))
     scale = 0.05 / size_m
     hand = hand_of(tmp_path / "hand.urdf", finger_urdf(mesh_tag("m.dae", "visual", f"{scale} {scale} {scale}")))
     bounds = extents(hand, "finger", visual=True)

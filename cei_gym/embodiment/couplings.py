@@ -19,6 +19,7 @@ class _Relation:
     what: str
     weights: dict[str, float]
     total: float
+    of_tendon: bool = False
 
     def coupling(self, follower: str, leader: str) -> Coupling:
         """The same, with one of its two joints following the other."""
@@ -26,8 +27,10 @@ class _Relation:
         return Coupling(leader, -self.weights[leader] / weight, self.total / weight)
 
     def repeats(self, follower: str, coupling: Coupling) -> bool:
-        """Whether it says once more what a coupling says."""
+        """Whether it says once more what a coupling says; a joint equality has a direction, and may go round in a circle."""
         if self.weights.keys() != {follower, coupling.joint} or not self.weights[follower]:
+            return False
+        if not self.of_tendon and follower != next(iter(self.weights)):
             return False
         same = self.coupling(follower, coupling.joint)
         return isclose(same.scale, coupling.scale) and isclose(same.offset, coupling.offset, abs_tol=1e-9)
@@ -134,7 +137,7 @@ def _tendon_relation(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> _Rela
             for joint, weight in _tendon_weights(spec.tendon(name)).items():
                 weights[joint] = weights.get(joint, 0.0) + sign * weight
     total = a0 + sum(weight * spec.joint(joint).ref for joint, weight in weights.items())
-    return _Relation(what, {joint: weight for joint, weight in weights.items() if weight}, float(total))
+    return _Relation(what, {joint: weight for joint, weight in weights.items() if weight}, float(total), of_tendon=True)
 
 
 _RELATIONS = {mujoco.mjtEq.mjEQ_JOINT: _joint_relation, mujoco.mjtEq.mjEQ_TENDON: _tendon_relation}
@@ -152,7 +155,7 @@ def _roles(relation: _Relation, free: list[str], couplings: dict[str, Coupling],
     if len(joints) != 2 or len(free) != 2:
         raise CEIError(f"{relation.what} ties {len(joints)} joints ({', '.join(joints)}), not two; {_HOW}.")
     follower, leader = joints
-    if relation.what.startswith(("tendon", "a tendon")) and (follower in driven or leader not in driven):
+    if relation.of_tendon and (follower in driven or leader not in driven):
         follower, leader = leader, follower
     if follower in couplings:
         follower, leader = leader, follower
