@@ -55,8 +55,10 @@ class UrdfReader:
         check_numbers(tree, may_be_infinite=("velocity", "effort", "lower", "upper"))  # for "not known"
         for joint in tree.iterfind("joint"):
             self._read_joint(joint)
-        for link in tree.iterfind("link"):
-            self._read_inertial(link)
+        mended = [link.get("name", "") for link in tree.iterfind("link") if _mend_inertial(link)]
+        if mended:
+            names = ", ".join(map(repr, mended))
+            self.notes.append(f"no body has the inertia of {names}; the nearest possible one is taken.")
         _check_one_root(tree)
         for mesh in tree.iter("mesh"):
             self._read_mesh(mesh)
@@ -124,27 +126,6 @@ class UrdfReader:
                     f" {upper:g} {unit} are taken."
                 )
 
-    def _read_inertial(self, link: Element) -> None:
-        """Leave out what is 0, and mend inertias that no body has: MuJoCo refuses both, and only holding torques depend on them."""
-        inertial = link.find("inertial")
-        mass, inertia = (None if inertial is None else inertial.find(tag) for tag in ("mass", "inertia"))
-        if inertial is None or mass is None or inertia is None:
-            return
-        keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-        xx, yy, zz, xy, xz, yz = (_number(inertia, key, 0.0) for key in keys)
-        weight_kg = _number(mass, "value", 0.0)
-        if weight_kg == 0 and not any((xx, yy, zz, xy, xz, yz)):
-            link.remove(inertial)
-            return
-        moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if weight_kg > 0 and moments[0] < _LEAST_MOMENT_KG_M2:
-            M = axes @ np.diag(np.maximum(moments, max(1e-4 * moments[2], _LEAST_MOMENT_KG_M2))) @ axes.T
-            for key, at in zip(keys, ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), strict=True):
-                inertia.set(key, repr(float(M[at])))
-            self.notes.append(
-                f"link {link.get('name', '')!r}: no body has its inertia; the nearest possible one is taken."
-            )
-
     def _read_mesh(self, mesh: Element) -> None:
         uri = mesh.get("filename", "")
         path = self._find(uri.replace("\\", "/"))
@@ -211,3 +192,25 @@ def _name_geoms(tree: Element) -> None:
         for number, geom in enumerate(geoms):
             if not geom.get("name") or count[geom.get("name", "")] > 1:
                 geom.set("name", f"{link.get('name', '')}.{number}")
+
+
+def _mend_inertial(link: Element) -> bool:
+    """Leave out what is 0, and mend inertias that no body has: MuJoCo refuses both, and only holding torques depend
+    on them. Returns whether it was mended."""
+    inertial = link.find("inertial")
+    mass, inertia = (None if inertial is None else inertial.find(tag) for tag in ("mass", "inertia"))
+    if inertial is None or mass is None or inertia is None:
+        return False
+    keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    xx, yy, zz, xy, xz, yz = (_number(inertia, key, 0.0) for key in keys)
+    weight_kg = _number(mass, "value", 0.0)
+    if weight_kg == 0 and not any((xx, yy, zz, xy, xz, yz)):
+        link.remove(inertial)
+        return False
+    moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if weight_kg > 0 and moments[0] < _LEAST_MOMENT_KG_M2:
+        M = axes @ np.diag(np.maximum(moments, max(1e-4 * moments[2], _LEAST_MOMENT_KG_M2))) @ axes.T
+        for key, at in zip(keys, ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), strict=True):
+            inertia.set(key, repr(float(M[at])))
+        return True
+    return False
