@@ -1,6 +1,8 @@
 """Malformed inputs: small valid files of each kind, and named and random ways of spoiling them."""
 
 import json
+import struct
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -533,6 +535,72 @@ def _urdf() -> Iterator[Case]:
     yield case("a mesh by http", change(file, "finger.stl", "http://localhost:9/finger.stl"))
     for value in ("nan 1 1", "0 0 0", "x", "1"):
         yield case(f"mesh scale is {value!r}", change(file, '"finger.stl"', f'"finger.stl" scale="{value}"'))
+    yield from _urdf_kinds(case, file)
+
+
+def _urdf_kinds(case: Callable[..., Case], file: str) -> Iterator[Case]:
+    """What other programs' URDFs have, and what asks for files, memory or time."""
+    left = '<limit lower="0" upper="0.04" effort="1" velocity="0.1"/>\n'
+    mesh, link = "finger.stl", '<link name="right">'
+    tree = '<parent link="palm"/><child link="left"/>'
+    yield case(
+        "a package that is a folder above",
+        both(outside(mesh), change(file, mesh, f"package://sub/{mesh}")),
+        "no enclosing folder is named 'sub'",
+    )
+    yield case(
+        "a package that is a link to a folder above",
+        both(
+            outside(mesh), lambda folder: (folder / "up").symlink_to(".."), change(file, mesh, f"package://up/{mesh}")
+        ),
+        "no enclosing folder is named 'up'",
+    )
+    yield case(
+        "a package of a bomb",
+        both(
+            put("package.xml", f"{BOMB}<package><name>&l8;</name></package>"),
+            change(file, mesh, f"package://hand/{mesh}"),
+        ),
+        "no enclosing folder is named 'hand'",
+    )
+    yield case(
+        "a package that climbs",
+        both(outside(mesh), change(file, mesh, f"package://../{mesh}")),
+        "no enclosing folder is named '..'",
+    )
+    for scheme, says in [("model://", "package '..'"), ("file://", "points outside"), ("http://localhost:9/", mesh)]:
+        yield case(f"a mesh at {scheme}", both(outside(mesh), change(file, mesh, f"{scheme}../{mesh}")), says)
+    yield case(
+        "a folder of meshes above",
+        both(
+            outside(mesh),
+            change(file, link, '<mujoco><compiler meshdir=".."/></mujoco>' + link),
+            change(file, mesh, f"nowhere/{mesh}"),
+        ),
+        "points outside its folder",
+    )
+    yield case("a mesh in a CAD format", change(file, mesh, "finger.step"), "finger.step")
+    yield case(
+        "a mesh in millimetres", change(file, '"finger.stl"', '"finger.stl" scale="1000 1000 1000"'), 'scale="1 1 1"'
+    )
+    yield case(
+        "a mesh in kilometres", change(file, '"finger.stl"', '"finger.stl" scale="1e-4 1e-4 1e-4"'), 'scale="1 1 1"'
+    )
+    yield case("a box in millimetres", change(file, "0.02 0.01 0.05", "20 10 50"), "millimetres")
+    yield case("an origin in millimetres", change(file, "0 -0.05 0.05", "0 -50 50"), "millimetres")
+    yield case(
+        "20000 links", change(file, link, "".join(f'<link name="l{i}"/>' for i in range(20_000)) + link), "20003 <link>"
+    )
+    geoms = '<visual><geometry><box size="0.01 0.01 0.01"/></geometry></visual>' * 20_000
+    yield case("20000 geoms", change(file, link, link + geoms), "20000 <visual>")
+    yield case("300000 elements", change(file, link, "<gazebo/>" * 300_000 + link), "200000 elements")
+    yield case("a huge file", change(file, link, f"<!--{'x' * 17_000_000}-->" + link), "16000000 are allowed")
+    yield case("a xacro", change(file, 'value="1"', 'value="${mass}"'), "xacro robot.urdf.xacro > robot.urdf")
+    yield case("a xacro's include", change(file, link, '<xacro:include filename="../x.xacro"/>' + link), "xacro")
+    yield case("two bases", change(file, link, '<link name="base"/>' + link), "'palm', 'base' hang on no joint")
+    yield case("a planar joint", change(file, 'name="left" type="prismatic"', 'name="left" type="planar"'), "planar")
+    yield case("limits that are one", change(file, left, left.replace('lower="0"', 'lower="0.04"')), "make it fixed")
+    yield case("a joint of no links", change(file, tree, ""), "")
 
 
 def _mesh_paths(kind: str, file: str) -> Iterator[Case]:
@@ -649,6 +717,144 @@ def _mjcf() -> Iterator[Case]:
     yield case("an unknown attribute", change(file, '<body name="palm"', '<body name="palm" magic="1"'), "magic")
     yield case("an unknown class", change(file, '<body name="palm"', '<body name="palm" childclass="x"'), "x")
     yield case("an unknown mesh", change(file, 'mesh="finger"', 'mesh="thumb"'), "thumb")
+    yield from _mjcf_kinds(case, file, parts)
+
+
+def _mjcf_kinds(case: Callable[..., Case], file: str, parts: str) -> Iterator[Case]:
+    """What asks for files, memory or time, or ties joints in ways that are no coupling."""
+    include, out = '<include file="assets.xml"/>', outside(parts)
+    asset = "<asset>{}</asset>"
+
+    def adds(element: str) -> Spoil:
+        return change(file, include, include + element)
+
+    nested = put(parts, '<mujoco><include file="../assets.xml"/></mujoco>')
+    yield case("a nested include of what is outside", both(out, nested), "points outside")
+    yield case(
+        "an include of a folder below that climbs back out",
+        both(
+            out,
+            lambda folder: (folder / "below").mkdir(),
+            put("below/parts.xml", '<mujoco><include file="../../assets.xml"/></mujoco>'),
+            change(file, parts, "below/parts.xml"),
+        ),
+        "points outside",
+    )
+    for name, tag in [("a", 'include xmlns="urn:x"'), ("a prefixed", 'x:include xmlns:x="urn:x"')]:
+        spoil = both(out, change(file, include, f'<{tag} file="../assets.xml"/>'))
+        yield case(f"{name} namespace's include", spoil, "points outside" if name == "a" else "include")
+    yield case(
+        "an included model with a namespace",
+        both(out, put(parts, '<x:mujoco xmlns:x="urn:x"><include file="../assets.xml"/></x:mujoco>')),
+        "points outside",
+    )
+
+    def absolute(folder: Path) -> None:
+        change(file, parts, str(folder.parent / parts))(folder)
+
+    yield case("an include at an absolute path", both(out, absolute), "points outside")
+    yield case(
+        "an include with elements", change(file, include, f'<include file="{parts}"><asset/></include>'), "inside"
+    )
+    yield case("an include twice", adds(include), "twice")
+    chain = [put(f"p{i}.xml", f'<mujoco><include file="p{i + 1}.xml"/></mujoco>') for i in range(300)]
+    yield case("300 includes", both(*chain, change(file, parts, "p0.xml")), "200")
+    yield case("an included document of another kind", put(parts, "<robot><link/></robot>"), "link")
+    model = '<model name="m" file="../assets.xml"/>'
+    yield case("a model of its own", both(out, adds(asset.format(model))), "<model> is not allowed")
+    attach = '<attach model="m" body="palm" prefix="x"/>'
+    yield case("an attached model", change(file, "</worldbody>", attach + "</worldbody>"), "<attach> is not allowed")
+    outer = outside("finger.stl")
+    for tag in ("hfield", "skin"):
+        spoil = both(outer, adds(asset.format(f'<{tag} name="x" file="../finger.stl"/>')))
+        yield case(f"a {tag} of what is outside", spoil, f"<{tag}> is not allowed")
+    flex = '<flexcomp name="x" type="mesh" file="../finger.stl"/>'
+    yield case("a flex of what is outside", change(file, "</worldbody>", flex + "</worldbody>"), "<flexcomp>")
+    for side in ("file", "fileright", "filedown"):
+        spoil = both(outer, adds(asset.format(f'<texture name="x" type="cube" {side}="../finger.stl"/>')))
+        yield case(f"a texture's {side} of what is outside", spoil, "points outside")
+    yield case(
+        "a texture that is none", adds(asset.format('<texture name="x" type="2d" file="finger.stl"/>')), "finger.stl"
+    )
+    for folder in ("meshdir", "assetdir"):
+        yield case(f"{folder} is outside", both(outer, adds(f'<compiler {folder}=".."/>')), "points outside")
+    stripped = both(outer, adds('<compiler meshdir=".." strippath="true"/>'))
+    yield case("a path that is stripped to outside", stripped, "points outside")
+    png = _png(30_000, 30_000)
+    bomb = both(put("bomb.png", png), adds(asset.format('<texture name="x" type="2d" file="bomb.png"/>')))
+    yield case("a picture of 30000 x 30000", bomb, "bomb.png")
+    large = both(
+        put("large.png", _png(5000, 5000)), adds(asset.format('<texture name="x" type="2d" file="large.png"/>'))
+    )
+    yield case("a picture of 5000 x 5000", large, "texels")
+    tiles = "".join(f'<texture name="t{i}" type="2d" builtin="flat" width="4000" height="4000"/>' for i in range(20))
+    yield case("many large textures", adds(asset.format(tiles)), "texels")
+    builtin = '<mesh name="x" builtin="supersphere" params="60000 1 1"/>'
+    yield case("a mesh made of formulas", adds(asset.format(builtin)), "<mesh builtin='supersphere'> is not allowed")
+
+    def bodies(n: int, content: str = '<geom size="0.01"/>') -> Spoil:
+        many = "".join(f'<body name="x{i}">{content}</body>' for i in range(n))
+        return change(file, '<body name="right"', many + '<body name="right"')
+
+    yield case("20000 bodies", bodies(20_000), "20003 <body>")
+    yield case("20000 geoms", bodies(1, '<geom size="0.01"/>' * 20_000), "<geom>")
+    yield case("20000 sites", bodies(1, "<site/>" * 20_000), "<site>")
+    motors = '<motor joint="left"/>' * 20_000
+    yield case(
+        "20000 motors", change(file, "</mujoco>", f"<actuator>{motors}</actuator></mujoco>"), "<actuator> has 20000"
+    )
+    yield case("2000 joints", bodies(900, "<joint/>" * 3 + '<geom size="0.01"/>'), "<joint>")
+    included = put("many.xml", "<mujoco><worldbody>" + "<site/>" * 150_000 + "</worldbody></mujoco>")
+    again = put("more.xml", "<mujoco><worldbody>" + "<site/>" * 150_000 + "</worldbody></mujoco>")
+    both_in = '<include file="many.xml"/><include file="more.xml"/>'
+    yield case("300000 elements by includes", both(included, again, adds(both_in)), "200000 elements")
+    for tag in ("extension", "deformable"):
+        yield case(f"an {tag}", adds(f"<{tag}/>"), f"<{tag}> is not allowed")
+    yield case(
+        "an sdf", change(file, '<geom type="box" size="0.05 0.05 0.01"/>', '<geom type="sdf" mesh="finger"/>'), ""
+    )
+
+    equality = '<joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/>'
+    tendon = '<tendon><fixed name="t"><joint joint="left" coef="1"/><joint joint="right" coef="1"/>{}</fixed></tendon>'
+
+    def tied(constraint: str, more: str = "") -> Spoil:
+        return both(change(file, equality, constraint), change(file, "<equality>", tendon.format(more) + "<equality>"))
+
+    yield case("a joint that is held", change(file, 'joint2="left" ', ""), "holds joint 'right'")
+    yield case(
+        "a tendon of unequal powers", tied('<tendon tendon1="t" tendon2="t" polycoef="0 0 1 0 0"/>'), "not linear"
+    )
+    yield case("an unknown tendon", tied('<tendon tendon1="s"/>'), "'s'")
+    third = change(
+        file,
+        '<body name="right"',
+        '<body name="x"><joint name="x" range="0 1"/><geom size="0.01"/></body><body name="right"',
+    )
+    yield case(
+        "a tendon of three joints",
+        both(third, tied('<tendon tendon1="t"/>', '<joint joint="x" coef="1"/>')),
+        "ties 3 joints (left, right, x)",
+    )
+    yield case("a tendon over coupled joints", tied(equality + '<tendon tendon1="t"/>'), "in a circle")
+    spatial = '<tendon><spatial name="t"><site site="p"/><site site="q"/></spatial></tendon><equality>'
+    sites = both(
+        change(file, '<body name="left"', '<site name="p"/><body name="left"'),
+        change(file, '<joint name="left"', '<site name="q"/><joint name="left"'),
+    )
+    cable = both(sites, change(file, equality, '<tendon tendon1="t"/>'), change(file, "<equality>", spatial))
+    yield case("a cable that is held", cable, "holds a spatial tendon")
+    loop = change(file, equality, '<connect body1="left" body2="right" anchor="0 0 0"/>')
+    yield case("a loop that opens", loop, "links 'left' and 'right' are joined to a loop")
+
+
+def _png(width: int, height: int) -> bytes:
+    """A picture that says that it is large, and is not."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
 
 
 def _mesh() -> Iterator[Case]:
@@ -674,6 +880,83 @@ def _mesh() -> Iterator[Case]:
     yield case(
         "huge", triangles(*[[[0, 0, 0], [1e30, 0, 1e30], [0, 1e30, 0]], [[0, 0, 1e30], [1e30, 0, 0], [0, 1e30, 0]]] * 2)
     )
+    yield from _mesh_formats()
+
+
+def _mesh_formats() -> Iterator[Case]:
+    """Meshes in formats that MuJoCo does not read."""
+
+    def case(name: str, suffix: str, content: bytes, says: str) -> Case:
+        mesh = f"finger.{suffix}"
+        spoil = both(put(mesh, content), change("hand.urdf", "finger.stl", mesh))
+        return Case("urdf", f"{mesh}: {name}", spoil, says, "pads")
+
+    for suffix in ("obj", "ply", "off", "glb", "gltf", "dae", "msh"):
+        for name, content in NO_TEXT.items():
+            yield case(name, suffix, content, f"finger.{suffix}")
+    yield case("faces of no vertices", "obj", b"f 1 2 3\nf 4 5 6\n", "finger.obj")
+    yield case("faces of other vertices", "obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 9\nf 9 8 7\n", "")
+    yield case("points alone", "obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "finger.obj")
+    yield case("not finite", "obj", b"o a\nv nan 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\no b\nf 2 3 4\n", "finger.obj")
+    head = b"ply\nformat %s 1.0\nelement vertex %d\nproperty float x\nproperty float y\nproperty float z\n"
+    faces = b"element face %d\nproperty list uchar int vertex_indices\nend_header\n"
+    for kind in (b"ascii", b"binary_little_endian"):
+        claims = head % (kind, 10**12) + faces % 10**12 + b"0 0 0\n" * 4
+        yield case(f"{kind.decode()} of 10^12 points", "ply", claims, "cut short")
+    yield case("points alone", "ply", head % (b"ascii", 2) + b"end_header\n0 0 0\n1 1 1\n", "no triangle")
+    yield case("10^12 points", "off", b"OFF\n1000000000000 1000000000000 0\n0 0 0\n", "finger.off")
+    yield case("counts that are negative", "msh", np.array([-1, -1, -1, -1], "<i4").tobytes(), "finger.msh")
+    yield case("counts that are huge", "msh", np.full(4, 2**31 - 1, "<i4").tobytes(), "finger.msh")
+    for name, gltf, says in [
+        (
+            "an accessor of 10^12 numbers",
+            {"accessors": [{"count": 10**12, "componentType": 5126, "type": "VEC3"}]},
+            "claims",
+        ),
+        ("a buffer outside", _gltf("../secret.bin"), "points outside"),
+        ("a buffer at an absolute path", _gltf("/etc/hostname"), "points outside"),
+        ("a buffer that is missing", _gltf("none.bin"), "none.bin"),
+        ("a buffer by http", _gltf("http://localhost:9/x.bin"), "finger.gltf"),
+        ("a node that is its own child", _gltf("none.bin") | {"nodes": [{"mesh": 0, "children": [0]}]}, "finger.gltf"),
+    ]:
+        yield case(name, "gltf", json.dumps(gltf).encode(), says)
+    yield case("an entity bomb", "dae", f"{BOMB}<COLLADA>&l8;</COLLADA>".encode(), "entities are not allowed")
+    yield case("nothing in it", "dae", collada(""), "finger.dae")
+    yield case("a unit of none", "dae", collada("", unit="far"), "its unit")
+    nodes = (
+        "".join(f'<node id="n{i}">' + f'<instance_node url="#n{i + 1}"/>' * 10 + "</node>" for i in range(12))
+        + '<node id="n12"><instance_geometry url="#g"/></node>'
+    )
+    yield case("nodes of ten nodes of ten nodes", "dae", collada(nodes), "too often")
+    yield case("a node in itself", "dae", collada('<node id="n"><instance_node url="#n"/></node>'), "too often")
+    chain = "".join(f'<node id="n{i}"><instance_node url="#n{i + 1}"/></node>' for i in range(5000))
+    yield case("a chain of 5000 nodes", "dae", collada(chain), "finger.dae")
+
+
+def _gltf(uri: str) -> dict[str, Any]:
+    """A triangle whose numbers are in another file."""
+    return {
+        "asset": {"version": "2.0"},
+        "buffers": [{"uri": uri, "byteLength": 36}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+
+
+def collada(nodes: str, unit: str = "1") -> bytes:
+    """A pyramid, placed by nodes."""
+    points = "0 0 0 0.02 0 0 0 0.02 0 0 0 0.05"
+    return f"""<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset><unit meter="{unit}"/></asset>
+<library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a" count="12">{points}</float_array>
+<technique_common><accessor source="#a" count="4" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source><vertices id="v"><input semantic="POSITION" source="#p"/>
+</vertices><triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 1 3 1 2 3 2 0 3</p></triangles></mesh>
+</geometry></library_geometries><library_visual_scenes><visual_scene id="s">{nodes}</visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>""".encode()
 
 
 NO_JSON = {

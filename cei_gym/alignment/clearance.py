@@ -59,7 +59,7 @@ class Clearance:
         # Torque motors with a stated range; position servos state none.
         driven = (self._model.actuator_biasprm[:, 1] == 0) & (self._model.actuator_ctrlrange[:, 1] > 0)
         self._motor_joint = self._model.actuator_trnid[driven, 0]
-        self._motor_limit = self._model.actuator_ctrlrange[driven, 1]
+        self._motor_limit = self._model.actuator_ctrlrange[driven, 1] * np.abs(self._model.actuator_gear[driven, 0])
 
     def worst(self, qpos: np.ndarray, support_z_base_m: float) -> tuple[float, float]:
         """Deepest penetration (m) and largest share of an arm motor's limit spent on gravity.

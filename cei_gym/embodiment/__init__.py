@@ -11,6 +11,7 @@ from cei_gym.embodiment.catalogue import (
     load_end_effector,
 )
 from cei_gym.embodiment.embodiment import Coupled, Embodiment, build_embodiment
+from cei_gym.embodiment.resources import use_package_path
 from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec, Pad, PhysicsException, load_spec
 
 __all__ = [
@@ -31,4 +32,5 @@ __all__ = [
     "load_embodiment",
     "load_end_effector",
     "load_spec",
+    "use_package_path",
 ]

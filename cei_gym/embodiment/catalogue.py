@@ -2,12 +2,10 @@
 
 import os
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 from cei_gym.embodiment.embodiment import Embodiment, build_embodiment
-from cei_gym.embodiment.resources import SCHEME
 from cei_gym.embodiment.spec import ArmSpec, EndEffectorSpec, load_spec
 from cei_gym.errors import CEIError, unknown
 
@@ -93,6 +91,4 @@ def _load[Spec: (ArmSpec, EndEffectorSpec)](cls: type[Spec], kind: str, name: st
     spec = load_spec(cls, files[0])
     if spec.name != name or "-" in name:
         raise CEIError(f"{files[0]}: its name is {spec.name!r}; it should be that of the file, without a hyphen.")
-    if spec.description.startswith(SCHEME):
-        return spec
-    return replace(spec, description=str(files[0].parent / spec.description))
+    return spec

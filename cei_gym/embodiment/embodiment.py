@@ -1,6 +1,6 @@
 """An embodiment: arm x end-effector, compiled by MuJoCo, with its independent joints named and bounded."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
@@ -8,10 +8,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from cei_gym.embodiment.description import Description, load_description
-from cei_gym.embodiment.resources import resolve
+from cei_gym.embodiment.assets import MeshDiffersError
+from cei_gym.embodiment.compiling import check_loops, compile_spec
+from cei_gym.embodiment.couplings import declared_couplings
+from cei_gym.embodiment.description import Description, doubtful_units, load_description
+from cei_gym.embodiment.resources import Place, locate, packages_beside
 from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec
-from cei_gym.errors import CEIError, one_line, unknown
+from cei_gym.errors import CEIError, unknown
 
 END_EFFECTOR_PREFIX = "ee/"
 """Keeps an end-effector's names apart from its arm's inside one model; public joint names do not carry it."""
@@ -73,6 +76,7 @@ class Embodiment:
         max_velocity: (n,) largest speeds, rad/s or m/s: the YAML's, else the URDF's, else a default.
         coupled: how joints follow the independent ones.
         home, closed: (n,) rest pose, and the same with the end-effector closed.
+        notes: sentences about what was assumed, and what of the descriptions is left out.
     """
 
     name: str
@@ -88,6 +92,7 @@ class Embodiment:
     coupled: Coupled
     home: np.ndarray
     closed: np.ndarray
+    notes: tuple[str, ...] = ()
 
     @property
     def body_names(self) -> tuple[str, ...]:
@@ -132,20 +137,36 @@ def build_embodiment(
 
     Args:
         arm, end_effector: at least one of them.
-        relative_to: folder that relative description paths start from.
+        relative_to: folder that relative description paths start from, if not the one that a specification was read from; what lies
+            in it may be read.
 
     Raises:
         CEIError: a description is missing or refused, or a specification names what the description lacks.
     """
+    try:
+        return _build(arm, end_effector, relative_to)
+    except MeshDiffersError:
+        return _build(arm, end_effector, relative_to, plain=False)
+
+
+def _build(
+    arm: ArmSpec | None, end_effector: EndEffectorSpec | None, relative_to: Path, plain: bool = True
+) -> Embodiment:
     couplings: dict[str, Coupling] = {}
     max_velocity: dict[str, float] = {}
+    notes: list[str] = []
+    descriptions: list[Description] = []
+    held: set[str] = set()
     if arm is not None:
-        description = load_description(*resolve(arm.description, relative_to))
-        spec = _subtree(arm, description)
+        description = _load(arm, relative_to, plain, notes)
+        descriptions.append(description)
+        spec, held = _subtree(arm, description)
+        if end_effector is not None:
+            _leave_to_hand(spec, description, end_effector, relative_to)
         flange = spec.body(arm.mount_body)
         if flange is None:
             raise unknown(f"mount_body of {arm.name}", arm.mount_body, [b.name for b in spec.bodies])
-        couplings |= description.couplings
+        couplings |= _couplings(arm, description, spec, {joint.name for joint in spec.joints}, notes)
         max_velocity |= description.max_velocity
         if arm.inertia_groups:
             spec.compiler.inertiagrouprange = arm.inertia_groups
@@ -153,57 +174,124 @@ def build_embodiment(
         spec = mujoco.MjSpec()
         flange = spec.worldbody
     if end_effector is not None:
-        description = load_description(*resolve(end_effector.description, relative_to))
-        _attach(flange, end_effector, description)
+        description = _load(end_effector, relative_to, plain, notes)
+        descriptions.append(description)
+        root = _root(end_effector, description, notes)
+        inside = {joint.name for joint in root.find_all("joint")}
         couplings |= {
             END_EFFECTOR_PREFIX + name: Coupling(END_EFFECTOR_PREFIX + c.joint, c.scale, c.offset, c.ignore_limits)
-            for name, c in (description.couplings | end_effector.couplings).items()
+            for name, c in _couplings(end_effector, description, description.spec, inside, notes).items()
         }
+        _attach(flange, root, end_effector, description)
         max_velocity |= {END_EFFECTOR_PREFIX + name: speed for name, speed in description.max_velocity.items()}
     name = "-".join(part.name for part in (arm, end_effector) if part is not None)
+    model, more = compile_spec(name, spec, [description.assets for description in descriptions], held)
+    notes += [f"{name}: {note}" for note in more]
+    return _from_model(name, arm, end_effector, model, couplings, max_velocity, notes)
+
+
+def _load(part: ArmSpec | EndEffectorSpec, relative_to: Path, plain: bool, notes: list[str]) -> Description:
+    description = load_description(_place(part, relative_to), plain)
+    if part.angle:
+        description.spec.compiler.degree = part.angle == "degree"
+    notes += [f"{part.name}: {note}" for note in (*description.notes, *doubtful_units(description.spec))]
+    return description
+
+
+def _place(part: ArmSpec | EndEffectorSpec, relative_to: Path) -> Place:
+    trusted = [Path(part.folder)] if part.folder else []
+    if relative_to != Path():
+        trusted.append(relative_to)
+    beside = packages_beside(Path(part.folder or relative_to), part.package_path)
+    folder = relative_to if relative_to != Path() or not part.folder else Path(part.folder)
+    return locate(part.description, folder, trusted, beside)
+
+
+def _couplings(
+    part: ArmSpec | EndEffectorSpec, description: Description, spec: mujoco.MjSpec, joints: set[str], notes: list[str]
+) -> dict[str, Coupling]:
+    """What the description, and over it the YAML, say of the joints of the part of it that is used."""
     try:
-        model = spec.compile()
-    except ValueError as error:
-        raise CEIError(f"{name}: MuJoCo cannot compile it: {one_line(error)}") from error
-    return _from_model(name, arm, end_effector, model, couplings, max_velocity)
+        declared, about = declared_couplings(spec, joints, part.couplings)
+    except CEIError as error:
+        raise CEIError(f"{description.assets.place.path.name}: {error}") from None
+    notes += [f"{part.name}: {note}" for note in about]
+    declared |= description.mimics
+    return {follower: coupling for follower, coupling in declared.items() if follower in joints} | part.couplings
 
 
-def _subtree(arm: ArmSpec, description: Description) -> mujoco.MjSpec:
-    """The description, or the part of it that is the arm: of a humanoid, say."""
-    spec = description.spec
+def _subtree(arm: ArmSpec, description: Description) -> tuple[mujoco.MjSpec, set[str]]:
+    """The description, or the part of it that is the arm: of a humanoid, say; and the links whose joints are held."""
+    spec, links = description.spec, set()
     if arm.joints:
         names = [joint.name for joint in spec.joints]
         for joint in arm.joints:
             if joint not in names:
                 raise unknown(f"joint in joints of {arm.name}", joint, names)
-        held = {joint.name for joint in spec.joints} - set(arm.joints)
-        for element in [*spec.actuators, *spec.equalities]:
-            named = {element.target} if isinstance(element, mujoco.MjsActuator) else {element.name1, element.name2}
-            if named & held:
-                spec.delete(element)
-        for joint in spec.joints:
-            if joint.name in held:
-                spec.delete(joint)
+        links = _hold(spec, {joint.name for joint in spec.joints} - set(arm.joints))
     if not arm.root_body:
-        return spec
+        return spec, links
     root = spec.body(arm.root_body)
     if root is None:
         raise unknown(f"root_body of {arm.name}", arm.root_body, [b.name for b in spec.bodies])
     whole = mujoco.MjSpec()
     root.pos, root.quat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
     whole.worldbody.add_frame().attach_body(root, "", "")
-    return whole
+    return whole, links
 
 
-def _attach(flange: mujoco.MjsBody, spec: EndEffectorSpec, description: Description) -> None:
+def _hold(spec: mujoco.MjSpec, held: set[str]) -> set[str]:
+    """Take joints away, with what refers to them; returns the links that they moved."""
+    tendons = [t for t in spec.tendons if any(p.target is not None and p.target.name in held for p in t.path)]
+    gone = {
+        mujoco.mjtEq.mjEQ_JOINT: held,
+        mujoco.mjtEq.mjEQ_TENDON: {tendon.name for tendon in tendons},
+    }
+    for equality in spec.equalities:
+        if {equality.name1, equality.name2} & gone.get(equality.type, set()):
+            spec.delete(equality)
+    for actuator in spec.actuators:
+        if actuator.target in held:
+            spec.delete(actuator)
+    for tendon in tendons:
+        spec.delete(tendon)
+    joints = [joint for joint in spec.joints if joint.name in held]
+    links = {joint.parent.name for joint in joints}
+    for joint in joints:
+        spec.delete(joint)
+    return links
+
+
+def _leave_to_hand(
+    spec: mujoco.MjSpec, description: Description, end_effector: EndEffectorSpec, relative_to: Path
+) -> None:
+    """Where one file describes both, the links from the end-effector's root on are not the arm's, too."""
+    root = spec.body(end_effector.root_body) if end_effector.root_body else None
+    if root is not None and _place(end_effector, relative_to).path == description.assets.place.path:
+        _hold(spec, {joint.name for joint in root.find_all("joint")})
+        spec.delete(root)
+
+
+def _root(part: EndEffectorSpec, description: Description, notes: list[str]) -> mujoco.MjsBody:
+    """The first link of an end-effector."""
     hand = description.spec
-    if spec.angle:
-        if spec.angle not in ("radian", "degree"):
-            raise unknown(f"angle of {spec.name}", spec.angle, ["radian", "degree"])
-        hand.compiler.degree = spec.angle == "degree"
-    root = hand.body(spec.root_body) if spec.root_body else hand.worldbody.first_body()
+    if part.root_body:
+        root = hand.body(part.root_body)
+    else:
+        root = hand.worldbody.first_body()
+        left_out = [f"link {body.name!r}" for body in hand.worldbody.bodies[1:]]
+        left_out += [f"geom {geom.name!r}" for geom in hand.worldbody.geoms]
+        if root is not None and left_out:
+            notes.append(
+                f"{part.name}: {', '.join(left_out)} do not hang on {root.name!r}, the first link, and are left out."
+            )
     if root is None:
-        raise unknown(f"root_body of {spec.name}", spec.root_body, [b.name for b in hand.bodies])
+        raise unknown(f"root_body of {part.name}", part.root_body, [b.name for b in hand.bodies])
+    return root
+
+
+def _attach(flange: mujoco.MjsBody, root: mujoco.MjsBody, spec: EndEffectorSpec, description: Description) -> None:
+    hand = description.spec
     disabled = {e.kind for e in spec.physics if not e.enabled}
     if spec.mount_pos_m and "mount" not in disabled:
         root.pos = spec.mount_pos_m
@@ -235,12 +323,16 @@ def _from_model(
     model: mujoco.MjModel,
     couplings: dict[str, Coupling],
     declared_max_velocity: dict[str, float],
+    notes: list[str],
 ) -> Embodiment:
     hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
     names = [model.joint(i).name for i in range(model.njnt)]
-    for joint, kind in zip(names, model.jnt_type, strict=True):
+    for joint, kind, body in zip(names, model.jnt_type, model.jnt_bodyid, strict=True):
         if kind not in (hinge, slide):
-            raise CEIError(f"{name}: joint {joint!r} is neither a hinge nor a slide.")
+            raise CEIError(
+                f"{name}: joint {_public(joint)!r} of link {_public(model.body(body).name)!r} is neither a hinge nor a slide; a base stands still here, so take a free joint out of the"
+                " description, or list an arm's own joints under `joints`."
+            )
     public = [_public(n) for n in names]
     if len(set(public)) < len(public):
         raise CEIError(f"{name}: arm and end-effector share a joint name: {sorted(public)}.")
@@ -256,8 +348,9 @@ def _from_model(
     for a in np.flatnonzero(on_joint & (model.actuator_biasprm[:, 1] != 0) & model.actuator_ctrllimited):
         # A position servo cannot be told to go past its command range.
         q = model.actuator_trnid[a, 0]
-        lower[q] = max(lower[q], model.actuator_ctrlrange[a, 0])
-        upper[q] = min(upper[q], model.actuator_ctrlrange[a, 1])
+        to_joint = -model.actuator_gainprm[a, 0] / model.actuator_biasprm[a, 1] / model.actuator_gear[a, 0]
+        ends = sorted(model.actuator_ctrlrange[a] * to_joint)
+        lower[q], upper[q] = max(lower[q], ends[0]), min(upper[q], ends[1])
     max_velocity = _max_velocity(names, model.jnt_type == hinge, arm, end_effector, declared_max_velocity)
     coupled = _couple(name, names, couplings)
     for q, joint in enumerate(names):
@@ -268,8 +361,8 @@ def _from_model(
             max_velocity[q] = abs(coupled.scale[q]) * max_velocity[leader]
     pose = {} if arm is None else dict(arm.home)
     pose |= {} if end_effector is None else end_effector.home
-    home = _pose(name, public, coupled, pose)
-    closed = _pose(name, public, coupled, pose | ({} if end_effector is None else end_effector.closed))
+    given = [pose, pose | ({} if end_effector is None else end_effector.closed)]
+    home, closed = (_pose(name, public, coupled, values) for values in given)
     units = tuple("rad" if kind == hinge else "m" for kind in model.jnt_type)
     embodiment = Embodiment(
         name,
@@ -285,13 +378,47 @@ def _from_model(
         coupled,
         home,
         closed,
+        tuple(notes),
     )
-    for label, values in (("home", home), ("closed", closed)):
+    embodiment = _with_poses_in_limits(embodiment, given)
+    for label, values in (("home", embodiment.home), ("closed", embodiment.closed)):
         for q in np.flatnonzero((values < lower - 1e-6) | (values > upper + 1e-6)):
             raise CEIError(
                 f"{name}: {label} puts {public[q]} at {values[q]:.4g}, outside [{lower[q]:.4g}, {upper[q]:.4g}] {units[q]}."
+                f"{''.join(f' ({note})' for note in notes if 'degrees' in note)}"
             )
+    half = (embodiment.home + embodiment.closed) / 2
+    check_loops(name, model, {"home": embodiment.home, "half closed": half, "closed": embodiment.closed})
     return embodiment
+
+
+def _with_poses_in_limits(embodiment: Embodiment, given: list[dict[str, float]]) -> Embodiment:
+    """Joints that nobody gave a pose rest at 0, or at the end of their range that is nearest to it."""
+    coupled = embodiment.coupled
+    lower, upper = embodiment.independent_limits
+    notes, poses = list(embodiment.notes), []
+    for i in np.flatnonzero(~(lower < upper)):
+        tied = [name for name, leader in zip(embodiment.joint_names, coupled.leader, strict=True) if leader == i]
+        room = (
+            f"the limits of {', '.join(tied)}, which follow each other" if len(tied) > 1 else f"the limits of {tied[0]}"
+        )
+        remedy = "say how they do under `couplings`, with `ignore_limits` for one whose limits do not bind"
+        if lower[i] > upper[i] + 1e-9:
+            raise CEIError(f"{embodiment.name}: {room}, leave no position for {tied[0]}; {remedy}.")
+        notes.append(f"{embodiment.name}: {room}, leave {tied[0]} no room to move; {remedy}.")
+    for values, qpos in zip(given, (embodiment.home, embodiment.closed), strict=True):
+        u = coupled.reduce(qpos)
+        for i, q in enumerate(coupled.independent):
+            joint, inside = embodiment.joint_names[q], float(np.clip(u[i], lower[i], max(lower[i], upper[i])))
+            if joint not in values and inside != u[i]:
+                u[i] = inside
+                note = (
+                    f"{embodiment.name}: no `home` is given for {joint!r}, and 0 is outside its range of {lower[i]:.4g} to"
+                    f" {upper[i]:.4g} {embodiment.joint_units[q]}; it rests at {inside:.4g}."
+                )
+                notes += [note] * (note not in notes)
+        poses.append(coupled.expand(u))
+    return replace(embodiment, home=poses[0], closed=poses[1], notes=tuple(notes))
 
 
 def _max_velocity(

@@ -1,11 +1,99 @@
-"""Where a robot description lives: `package://` names and safe paths inside one folder."""
+"""Where a robot description lives, which folder it is trusted with, and where its ROS packages are.
 
+What a description names must lie inside its root: the topmost of
+- its own folder, and the one above where the two look like a package without its `package.xml` (`urdf/` beside `meshes/`);
+- the nearest folder above that is a ROS package (has a `package.xml`);
+- the folder of the YAML that names it, if it lies in there;
+- the package of the package path, or the Python package, that it was found in.
+"""
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
 
 from cei_gym.errors import CEIError
+from cei_gym.untrusted_xml import load_xml
 
 SCHEME = "package://"
+
+PACKAGE_PATH = "CEI_GYM_PACKAGE_PATH"
+"""Environment variable with folders that ROS packages are looked for in, separated as in PATH."""
+
+_DESCRIPTIONS = ("urdf", "mjcf", "xml", "xacro", "sdf", "robot", "robots", "model", "models")
+_BESIDE_THEM = ("meshes", "mesh", "assets", "textures", "materials", "media")
+_MOST_FOLDERS, _DEEPEST = 20_000, 3  # how far a package is looked for
+
+
+@dataclass(frozen=True)
+class Place:
+    """A description's file, and what it may read.
+
+    Attributes:
+        path: the file.
+        root: folder that everything it names must stay inside.
+        packages: folders that ROS packages are looked for in.
+    """
+
+    path: Path
+    root: Path
+    packages: tuple[Path, ...] = ()
+
+    def inside(self, path: Path, what: str) -> Path:
+        """`path`, resolved.
+
+        Raises:
+            CEIError: it leaves the root, or is there but no file.
+        """
+        return within(self.root, path, what)
+
+    def package(self, name: str) -> Path:
+        """Folder of a ROS package: one around the description, however it is called if its `package.xml` has the name, one in the
+        root, or one of the package path.
+
+        Raises:
+            CEIError: there is none.
+        """
+        around = [p for p in self.path.parents if p.is_relative_to(self.root)]
+        for folder in around:
+            if _package_name(folder) == name:
+                return folder
+        for folder in around:
+            if folder.name == name:
+                return folder
+        if found := _package_in((self.root, *self.packages), name):
+            return found
+        raise CEIError(
+            f"package {name[:60]!r}: no enclosing folder is named {name[:60]!r} or has a package.xml that says so; say where the package is"
+            f" with --package_path=<folder that it is in> (or {PACKAGE_PATH}, or `package_path` in the YAML)."
+        )
+
+
+def locate(uri: str, folder: Path, trusted: Iterable[Path] = (), package_path: Iterable[Path] = ()) -> Place:
+    """Find a description.
+
+    Args:
+        uri: `package://<package>/<path>`, a ROS package of the package path or an installed Python package; or a path.
+        folder: what a relative path starts from.
+        trusted: folders whose contents the description may read if it lies inside.
+        package_path: folders that ROS packages are looked for in, besides those of the environment.
+
+    Raises:
+        CEIError: the package is not there, the file is missing, or it lies outside its package.
+    """
+    packages = (*package_path, *environment_packages())
+    if uri.startswith(SCHEME):
+        name, _, inside = uri.removeprefix(SCHEME).partition("/")
+        root = _package_in(packages, name) or package_root(name)
+        path = within(root, root / inside, uri)
+    else:
+        path = resolved(folder.expanduser() / Path(uri).expanduser(), uri)
+        root = _root(path, trusted, packages)
+    if not path.is_file():
+        raise CEIError(f"no robot description at {uri!r} (looked for {path.name} in {path.parent}).{_closest(path)}")
+    return Place(path, root.resolve(), tuple(packages))
 
 
 def package_root(package: str) -> Path:
@@ -15,50 +103,165 @@ def package_root(package: str) -> Path:
     spec = find_spec(package)
     if spec is None or not spec.submodule_search_locations:
         raise CEIError(
-            f"package {package!r} is not installed; its robot descriptions are needed: pip install {package}."
+            f"package {package!r} is not installed; its robot descriptions are needed: pip install {package}, or, for a "
+            "ROS package, --package_path=<folder that it is in>."
         )
     return Path(next(iter(spec.submodule_search_locations)))
 
 
-def resolve(uri: str, relative_to: Path) -> tuple[Path, Path]:
-    """Resolve a description's address.
-
-    Args:
-        uri: `package://<python package>/<path>`, or a path relative to `relative_to`.
-        relative_to: folder of the file that names the address.
-
-    Returns:
-        The file, and the folder that it and its meshes must stay inside.
+def use_package_path(folders: str | None) -> None:
+    """Look for ROS packages in these folders, separated as in PATH, from now on, in this process and those that it starts.
 
     Raises:
-        CEIError: the package is not installed, the file is missing, or it lies outside its package.
+        CEIError: one is no folder.
     """
-    if uri.startswith(SCHEME):
-        package, _, inside = uri.removeprefix(SCHEME).partition("/")
-        root = package_root(package)
-        path = within(root, root / inside, uri)
-    else:
-        path = _resolved(relative_to / uri, uri)
-        root = path.parent
-    if not path.is_file():
-        raise CEIError(f"no robot description at {uri!r} (looked for {path.name} in {path.parent}).")
-    return path, root
+    if folders is not None:
+        found = [_existing(folder, "--package_path") for folder in folders.split(os.pathsep) if folder]
+        os.environ[PACKAGE_PATH] = os.pathsep.join(map(str, found))
+
+
+def environment_packages() -> tuple[Path, ...]:
+    """Folders of the environment's package path.
+
+    Raises:
+        CEIError: one is no folder.
+    """
+    return tuple(
+        _existing(folder, PACKAGE_PATH) for folder in os.environ.get(PACKAGE_PATH, "").split(os.pathsep) if folder
+    )
+
+
+def packages_beside(yaml_folder: Path, folders: Iterable[str]) -> tuple[Path, ...]:
+    """Folders of a YAML's own package path. It may come from a stranger, too, so it extends to what is beside and below it only.
+
+    Raises:
+        CEIError: one is no folder, or lies elsewhere.
+    """
+    found = []
+    for folder in folders:
+        path = _existing(str(yaml_folder / folder), "package_path")
+        if not path.is_relative_to(yaml_folder.resolve()):
+            raise CEIError(
+                f"package_path: {folder!r} is not below the YAML's own folder; give others with --package_path or {PACKAGE_PATH}."
+            )
+        found.append(path)
+    return tuple(found)
 
 
 def within(root: Path, path: Path, what: str) -> Path:
     """`path` resolved, refused if it leaves `root` or is there but no file (a description is untrusted input)."""
-    resolved = _resolved(path, what)
-    if not resolved.is_relative_to(root.resolve()):
-        raise CEIError(f"{what!r} points outside its folder {root.name!r}; only files inside it are read.")
-    if resolved.exists() and not resolved.is_file():
+    place = resolved(path, what)
+    if not place.is_relative_to(root.resolve()):
+        raise CEIError(f"{what!r} points outside its folder {root.resolve().name!r}; only files inside it are read.")
+    if place.exists() and not place.is_file():
         raise CEIError(f"{what!r} is no file.")
-    return resolved
+    return place
 
 
-def _resolved(path: Path, what: str) -> Path:
+def resolved(path: Path, what: str) -> Path:
+    """`path` without links and `..`.
+
+    Raises:
+        CEIError: it cannot be a path: too long, a loop of links, a null byte.
+    """
     try:
-        resolved = path.resolve()
-        resolved.exists()
-    except (OSError, RuntimeError, ValueError) as error:  # too long, a loop of links, a null byte
+        place = path.resolve()
+        place.exists()
+    except (OSError, RuntimeError, ValueError) as error:
         raise CEIError(f"{what[:60]!r} is no path to a file: {str(error)[:60]}.") from error
-    return resolved
+    return place
+
+
+def read_file(path: Path, what: str, most_bytes: int) -> bytes:
+    """Content of a file inside its root.
+
+    Raises:
+        CEIError: it is missing, too large, or cannot be read.
+    """
+    try:
+        if (size := path.stat().st_size) > most_bytes:
+            raise CEIError(f"{what!r} has {size} bytes; {most_bytes} are allowed.")
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise CEIError(f"no such file: {what!r}.{_closest(path)}") from None
+    except OSError as error:
+        raise CEIError(f"{what!r} cannot be read: {error.strerror}.") from None
+
+
+def _root(path: Path, trusted: Iterable[Path], packages: Iterable[Path]) -> Path:
+    own = path.parent
+    roots = [own, *(folder.resolve() for folder in trusted)]
+    if own.name.lower() in _DESCRIPTIONS and any((own.parent / name).is_dir() for name in _BESIDE_THEM):
+        roots.append(own.parent)
+    roots += [next((p for p in path.parents if (p / "package.xml").is_file()), own)]
+    for folder in packages:
+        if path.is_relative_to(folder) and path.parent != folder:
+            roots.append(folder / path.relative_to(folder).parts[0])
+    return min((root for root in roots if path.is_relative_to(root)), key=lambda root: len(root.parts))
+
+
+def _package_in(folders: Iterable[Path], name: str) -> Path | None:
+    """A ROS package in one of the folders, or one that is such a folder; not by a link that leads out of it."""
+    for folder in folders:
+        named = folder if folder.name == name else folder / name
+        if name.strip(".") and "/" not in name and _is_folder(named) and named.resolve().is_relative_to(folder):
+            return named.resolve()
+    return next((folder for folder in _walk(folders) if _package_name(folder) == name), None)
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):  # too long, a null byte
+        return False
+
+
+def _walk(folders: Iterable[Path]) -> Iterator[Path]:
+    """Folders and those in them, the nearest first, not into packages."""
+    level, count = list(folders), 0
+    for _ in range(_DEEPEST + 1):
+        deeper = []
+        for folder in level:
+            yield folder
+            count += 1
+            if count > _MOST_FOLDERS:
+                return
+            if not (folder / "package.xml").exists():
+                deeper += _subfolders(folder)
+        level = deeper
+
+
+def _subfolders(folder: Path) -> list[Path]:
+    try:
+        return sorted(Path(entry.path) for entry in os.scandir(folder) if entry.is_dir(follow_symlinks=False))
+    except OSError:
+        return []
+
+
+def _package_name(folder: Path) -> str | None:
+    """What a folder's `package.xml` says that the package is called."""
+    path = folder / "package.xml"
+    try:
+        if not path.is_file() or path.is_symlink():
+            return None
+        name = load_xml(read_file(path, "package.xml", 1_000_000)).findtext("name")
+    except (CEIError, OSError, ValueError):  # some other program's file
+        return None
+    return name and name.strip()
+
+
+def _existing(folder: str, option: str) -> Path:
+    path = resolved(Path(folder).expanduser(), folder)
+    if not path.is_dir():
+        raise CEIError(f"{option}: no such folder: {folder}.")
+    return path
+
+
+def _closest(path: Path) -> str:
+    try:
+        names = [entry.name for entry in os.scandir(path.parent)]
+    except OSError:
+        return ""
+    same = [name for name in names if name.lower() == path.name.lower()]
+    close = same or get_close_matches(path.name, names, n=1, cutoff=0.8)
+    return f" Did you mean {close[0]!r}?" if close else ""

@@ -1,14 +1,14 @@
 """The small typed YAML of an arm and of an end-effector."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
 import draccus
 
-from cei_gym.errors import CEIError, one_line
+from cei_gym.errors import CEIError, one_line, unknown
 from cei_gym.untrusted import load_yaml
 
 
@@ -20,23 +20,6 @@ class _Checked:
             for value in _leaves(getattr(self, each.name)):
                 if value is None or (isinstance(value, float) and not isfinite(value)):
                     raise CEIError(f"`{each.name}` has {value} where a value should be.")
-
-
-class _Part(_Checked):
-    """What an arm and an end-effector have in common."""
-
-    name: str
-    max_velocity: dict[str, float]
-    inertia_groups: list[int]
-
-    def __post_init__(self) -> None:
-        for joint, speed in self.max_velocity.items():
-            if speed is None or not 0 < speed < inf:
-                raise CEIError(f"max_velocity of {self.name} gives {joint} {speed}; it must be finite and above 0.")
-        groups = self.inertia_groups
-        if groups and (len(groups) != 2 or not 0 <= groups[0] <= groups[1] <= 5):
-            raise CEIError(f"`inertia_groups` of {self.name} should be two of 0 to 5, not {groups}.")
-        super().__post_init__()
 
 
 def _leaves(value: object) -> Iterator[object]:
@@ -64,13 +47,38 @@ class Coupling(_Checked):
     ignore_limits: bool = False
 
 
+class _Part(_Checked):
+    """What an arm and an end-effector have in common."""
+
+    name: str
+    description: str
+    max_velocity: dict[str, float]
+    inertia_groups: list[int]
+    angle: str
+    couplings: dict[str, Coupling]
+    package_path: list[str]
+    folder: str
+
+    def __post_init__(self) -> None:
+        for joint, speed in self.max_velocity.items():
+            if speed is None or not 0 < speed < inf:
+                raise CEIError(f"max_velocity of {self.name} gives {joint} {speed}; it must be finite and above 0.")
+        groups = self.inertia_groups
+        if groups and (len(groups) != 2 or not 0 <= groups[0] <= groups[1] <= 5):
+            raise CEIError(f"`inertia_groups` of {self.name} should be two of 0 to 5, not {groups}.")
+        if self.angle not in ("", "radian", "degree"):
+            raise unknown(f"angle of {self.name}", self.angle, ["radian", "degree"])
+        super().__post_init__()
+
+
 @dataclass(frozen=True)
 class Pad(_Checked):
     """One finger pad: the palmar side of some geoms of a link.
 
     Attributes:
         body: link that carries the pad.
-        geoms: geoms whose surface is sampled; empty means all collision geoms of the body.
+        geoms: geoms whose surface is sampled, by name, or `<link>.<number>`, from 0, where they have none; empty means all
+            collision geoms of the body.
         share: how many points it gets, relative to the other pads.
         extent: part of the link's length that counts as pad, from its base (0) to its tip (1), the end farther from its joint.
         palmar: "auto" (the side that leads when the hand closes), or a direction in the link's frame.
@@ -117,6 +125,10 @@ class ArmSpec(_Part):
             that includes it.
         max_velocity: largest speed of joints, rad/s or m/s; the others have their URDF's, or a default.
         simulator_name: the simulator's name for it, if it differs.
+        angle: "radian" or "degree" where the description does not say (MJCF then means degrees).
+        couplings: follower -> which joint it follows, where the description does not say, or says it otherwise.
+        package_path: folders below the YAML's own that ROS packages are looked for in; `--package_path` gives others.
+        folder: of the YAML; `load_spec` fills it in.
     """
 
     name: str
@@ -129,6 +141,10 @@ class ArmSpec(_Part):
     inertia_groups: list[int] = field(default_factory=list)
     simulator_name: str = ""
     physics: list[PhysicsException] = field(default_factory=list)
+    angle: str = ""
+    couplings: dict[str, Coupling] = field(default_factory=dict)
+    package_path: list[str] = field(default_factory=list)
+    folder: str = ""
 
 
 @dataclass(frozen=True)
@@ -145,7 +161,9 @@ class EndEffectorSpec(_Part):
         max_velocity: as for an arm.
         compliance: how many times as far fingers are sent into an object for the same grip, where joints without a motor
             give way.
+        couplings: as for an arm.
         simulator_name: the simulator's name for it, if it differs.
+        package_path, folder: as for an arm.
     """
 
     name: str
@@ -163,6 +181,8 @@ class EndEffectorSpec(_Part):
     couplings: dict[str, Coupling] = field(default_factory=dict)
     simulator_name: str = ""
     physics: list[PhysicsException] = field(default_factory=list)
+    package_path: list[str] = field(default_factory=list)
+    folder: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -180,7 +200,10 @@ def load_spec[Spec](cls: type[Spec], path: Path) -> Spec:
         raw = load_yaml(path.read_text())
         if not isinstance(raw, Mapping):
             raise CEIError("expected a mapping of fields")
-        return draccus.decode(cls, raw)
+        if issubclass(cls, _Part) and "folder" in raw:
+            raise CEIError("unknown field `folder`")
+        spec: Any = draccus.decode(cls, raw)
+        return replace(spec, folder=str(path.resolve().parent)) if issubclass(cls, _Part) else spec
     except FileNotFoundError:
         raise CEIError(f"no such file: {path}.") from None
     except Exception as error:

@@ -12,6 +12,8 @@ from cei_gym.errors import CEIError, unknown
 from cei_gym.functional.palmar import extent_mask, outer_mask, palmar_directions
 from cei_gym.kinematics.tree import KinematicTree
 
+_MOST_TRIANGLES = 500_000
+
 VARIANTS = ("standard", "reduced", "dropped")
 """Which part of a pad stands for it: all of it, the quarter of its area around its centroid (half its extent), or a
 random half of the standard's points (the paper's "Sensitivity of functional representation")."""
@@ -98,7 +100,14 @@ def pad_mesh(embodiment: Embodiment, pad: Pad) -> trimesh.Trimesh:
     geoms = [available[g] for g in pad.geoms] or list(collision_geoms(model, body))
     mesh = link_mesh(model, geoms)
     if mesh is None:
-        raise CEIError(f"pad {pad.body!r} of {embodiment.name}: the link has no collision geom; name its `geoms`.")
+        raise CEIError(
+            f"pad {pad.body!r} of {embodiment.name}: the link has no collision geom; name its `geoms`: {', '.join(available)}."
+        )
+    if len(mesh.faces) > _MOST_TRIANGLES:
+        raise CEIError(
+            f"pad {pad.body!r} of {embodiment.name}: its geoms have {len(mesh.faces)} triangles, which takes minutes to look through; name"
+            " only those that touch objects under `geoms`."
+        )
     return mesh
 
 

@@ -21,6 +21,7 @@ class PadsConfig:
     pose: str = "half"  # home, half (half closed) or closed.
     points: int = 128  # Point-normal pairs in all.
     seed: int = 0  # Of the sampling.
+    package_path: str | None = None  # Folders to look for ROS packages in, separated by colons.
     json: str | None = None  # File for the result as JSON.
 
 
@@ -33,7 +34,7 @@ def draw(config: PadsConfig) -> None:
     from PIL import Image
 
     from cei_converters.cli.result import check_json_path, write_json
-    from cei_gym.embodiment import EndEffectorSpec, build_embodiment, load_end_effector, load_spec
+    from cei_gym.embodiment import EndEffectorSpec, build_embodiment, load_end_effector, load_spec, use_package_path
     from cei_gym.functional.picture import draw_representation
     from cei_gym.functional.representation import sample_representation
 
@@ -43,7 +44,8 @@ def draw(config: PadsConfig) -> None:
     output = Path(config.output)
     if output.exists():
         raise CEIError(f"--output={output} already exists; choose another file or remove it first.")
-    if config.end_effector.endswith((".yaml", ".yml")):
+    use_package_path(config.package_path)
+    if config.end_effector.lower().endswith((".yaml", ".yml")):
         path = Path(config.end_effector)
         embodiment = build_embodiment(None, load_spec(EndEffectorSpec, path), path.parent)
     else:
@@ -55,7 +57,10 @@ def draw(config: PadsConfig) -> None:
     Image.fromarray(picture).save(output)
     names = [embodiment.body_names[body].split("/")[-1] for body in representation.body]
     pads = {name: names.count(name) for name in dict.fromkeys(names)}
-    write_json(config.json, {"end_effector": embodiment.name, "output": str(output), "pads": pads})
+    notes = list(embodiment.notes)
+    write_json(config.json, {"end_effector": embodiment.name, "output": str(output), "pads": pads, "notes": notes})
+    for note in notes:
+        print(f"note: {note}")
     print(f"Wrote {output}: " + ", ".join(f"{count} points on {link}" for link, count in pads.items()) + ".")
 
 

@@ -26,6 +26,7 @@ class ConvertConfig:
     calibration: str | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See above.
     joint_map: str | None = None  # YAML that tells which columns of a dataset are which joints. See above.
     check_clouds: bool = True  # Refuse clouds that do not show the source where its joints say.
+    package_path: str | None = None  # Folders to look for robots' ROS packages in, separated by colons.
     target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.
     dry_run: bool = False  # Align and report, write no dataset.

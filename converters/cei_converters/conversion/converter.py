@@ -25,7 +25,7 @@ from cei_converters.sources.source import Source
 from cei_gym.alignment import assess
 from cei_gym.augmentation import Offset
 from cei_gym.demonstration import Demonstration
-from cei_gym.embodiment import load_embodiment
+from cei_gym.embodiment import load_embodiment, use_package_path
 from cei_gym.errors import CEIError
 from cei_gym.transfer import Transfer
 
@@ -53,6 +53,7 @@ class Converter:
     def __init__(self, config: ConvertConfig) -> None:
         self._config = config
         T_world_base = parse_pose("--source_pose", config.source_pose)
+        use_package_path(config.package_path)
         calibrated = None if config.calibration is None else calibration.load_calibration(config.calibration)
         if calibrated is not None and calibrated.T_world_base is not None and T_world_base is not None:
             raise CEIError("--source_pose and T_world_base of --calibration are the same thing; give one.")

@@ -1,6 +1,7 @@
 """What a conversion is: decided once, before the first shard, and the same for every worker and every resumption."""
 
 import json
+import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -84,7 +85,11 @@ def absolute(config: ConvertConfig, dataset_root: Path) -> ConvertConfig:
     """Options that mean the same in other folders and on other machines with the same disks."""
     dataset = replace(config.dataset, root=str(dataset_root.resolve()))
     files = {name: getattr(config, name) for name in ("calibration", "joint_map")}
-    return replace(config, dataset=dataset, **{k: v and str(Path(v).resolve()) for k, v in files.items()})
+    packages = config.package_path and os.pathsep.join(
+        str(Path(folder).expanduser().resolve()) for folder in config.package_path.split(os.pathsep) if folder
+    )
+    files = {name: path and str(Path(path).resolve()) for name, path in files.items()}
+    return replace(config, dataset=dataset, package_path=packages, **files)
 
 
 def _essential(config: ConvertConfig) -> ConvertConfig:

@@ -30,6 +30,7 @@ class InspectConfig:
     episodes: int = 8  # Episodes to look at, spread over the dataset.
     state: str = "observation.state"  # LeRobot's feature with the positions.
     action: str = "action"  # LeRobot's feature with the targets.
+    package_path: str | None = None  # Folders to look for robots' ROS packages in, separated by colons.
     json: str | None = None  # File for the result as JSON.
 
 
@@ -49,8 +50,9 @@ def inspect(config: InspectConfig) -> dict[str, Any]:
     from cei_converters.inspection.findings import check_map, look_at, problems, propose
     from cei_converters.sources.formats import read_recordings
     from cei_converters.sources.joint_map import load_joint_map
-    from cei_gym.embodiment import load_embodiment
+    from cei_gym.embodiment import load_embodiment, use_package_path
 
+    use_package_path(config.package_path)
     check_json_path(config.json)
     file = check_new("--save_map", config.save_map, ".yaml")
     if config.episodes < 1:

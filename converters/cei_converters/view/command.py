@@ -27,6 +27,7 @@ class ViewConfig:
     episode: int = 0  # Which episode of the dataset.
     rrd: str | None = None  # Recording to write instead of opening the viewer.
     sheet: str | None = None  # Contact sheet (PNG) to write instead of opening the viewer.
+    package_path: str | None = None  # Folders to look for robots' ROS packages in, separated by colons.
     json: str | None = None  # File for the result as JSON.
 
 
@@ -39,7 +40,9 @@ def view(config: ViewConfig) -> dict[str, Any]:
     from cei_converters.cli.result import check_json_path, check_new, write_json
     from cei_converters.sources.formats import open_source
     from cei_converters.view.episode import load_view
+    from cei_gym.embodiment import use_package_path
 
+    use_package_path(config.package_path)
     check_json_path(config.json)
     rrd, sheet = check_new("--rrd", config.rrd, ".rrd"), check_new("--sheet", config.sheet, ".png")
     opens_viewer = rrd is None and sheet is None
