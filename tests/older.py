@@ -78,3 +78,11 @@ def write(
         lines = "".join(json.dumps(record) + "\n" for record in records)
         (root / "meta/cei_episodes.jsonl").write_text(lines)
     (root / "meta/cei.json").write_text(json.dumps(described))
+
+
+def forget(root: Path) -> None:
+    """Take away what `features` of a dataset of today carry of its `meta/cei.json`, as in one of format 1.1."""
+    info = json.loads((root / "meta/info.json").read_text())
+    for key in (STATE, ACTION):
+        del info["features"][key]["info"]["cei"]
+    (root / "meta/info.json").write_text(json.dumps(info))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import older
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -75,16 +76,6 @@ def refuse(main: Callable, root: Path, tmp_path: Path, capsys: pytest.CaptureFix
         return output.err
 
     return refuse
-
-
-def forget(root: Path) -> None:
-    """Take away what `features` carry of `meta/cei.json`, as in a dataset of format 1.1."""
-
-    def without(info: dict) -> None:
-        for key in ("observation.state", "action"):
-            del info["features"][key]["info"]["cei"]
-
-    edit_json(root / "meta/info.json", without)
 
 
 def edit_json(path: Path, edit: Callable[[dict], object]) -> None:
@@ -241,7 +232,7 @@ def test_missing_metadata(refuse: Callable, root: Path) -> None:
     assert "meta/episodes is missing" in refuse()
     (root / "meta/cei.json").unlink()
     assert "meta/episodes is missing" in refuse()  # features still say whose it is
-    forget(root)
+    older.forget(root)
     message = refuse()
     for text in ("meta/cei.json", "scene.T_world_base", "--source="):
         assert text in message
@@ -249,7 +240,7 @@ def test_missing_metadata(refuse: Callable, root: Path) -> None:
 
 def test_metadata_can_be_given(main: Callable, root: Path, capsys: Any) -> None:
     (root / "meta/cei.json").unlink()
-    forget(root)
+    older.forget(root)
     edit_json(root / "meta/info.json", lambda info: info["features"].pop("observation.depth.front"))
     args = ["--dataset.repo_id=me/pick", f"--dataset.root={root}", f"--target={TARGET}", "--dry_run"]
     code = main([*args, "--episodes=0", f"--source={ROBOT}", "--source_pose=0,0,0.5"])
@@ -271,7 +262,7 @@ def test_metadata_can_be_given(main: Callable, root: Path, capsys: Any) -> None:
     ],
 )
 def test_wrong_metadata(refuse: Callable, root: Path, edit: Callable, message: str) -> None:
-    forget(root)
+    older.forget(root)
     edit_json(root / "meta/cei.json", edit)
     assert message in refuse()
 

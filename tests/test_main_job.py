@@ -77,7 +77,9 @@ def test_states_and_actions_fit_the_target_and_its_limits(job: Path) -> None:
     assert target.embodiment.name == TARGET
     for i in range(EPISODES):
         before, after = source.read(i), target.read(i)
-        before = before.at(np.array(target.record(i).get("source_frames", range(len(before)))))  # the target may take longer
+        before = before.at(
+            np.array(target.record(i).get("source_frames", range(len(before))))
+        )  # the target may take longer
         assert len(before) == len(after)
         for values in (after.qpos, after.action):
             assert values.shape[1] == len(embodiment.joint_names)
