@@ -72,6 +72,11 @@ def remove(feature: str) -> list[str]:
     return ["--operation.type=remove_feature", f"--operation.feature_names=['{feature}']"]
 
 
+def merge(one: Path, other: Path, new: Path) -> list[str]:
+    roots = ["--operation.repo_ids=['me/one','me/other']", f"--operation.roots=['{one}','{other}']"]
+    return ["--operation.type=merge", *roots, f"--new_repo_id=me/{new.name}", f"--new_root={new}"]
+
+
 def with_pictures(root: Path, out: Path) -> None:
     """The same demonstrations as seen by two more cameras, a film and pictures, by LeRobot's own writer."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -130,12 +135,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     for version in older.VERSIONS:
         older.write(folder / version, version, list(DatasetReader("me/a", a)), **OLDER)
     splits = ["--operation.type=split", '--operation.splits={"train": [1], "test": [0]}']
-    merge = ["--operation.type=merge", "--operation.repo_ids=['me/a','me/b']", f"--operation.roots=['{a}','{b}']"]
-    merge += ["--new_repo_id=me/merged", f"--new_root={folder / 'merged'}"]
     edit(
         [*of(a, folder / "deleted"), *delete(0)],
         [*of(a), f"--new_root={folder / 'split'}", *splits],
-        merge,
+        merge(a, b, folder / "merged"),
+        merge(panda, panda, folder / "twice"),
         [*of(a, folder / "removed"), *remove(VIDEO)],
         [*of(a, folder / "blind"), *remove(CLOUD)],
         [*of(a, folder / "stats"), "--operation.type=recompute_stats"],
@@ -163,6 +167,7 @@ RESULTS = {  # name, and what its episodes are
     "again": [("a", 0), ("b", 0)],
     "shorter": [("panda", 0), ("panda", 2)],
     "joints": [("panda", 0), ("panda", 1), ("panda", 2)],
+    "twice": [("panda", 0), ("panda", 1), ("panda", 2)] * 2,
 }
 
 
