@@ -15,13 +15,11 @@ from time import perf_counter
 import gymnasium as gym
 import numpy as np
 import torch
-from lerobot.configs import FeatureType
 from lerobot.datasets import lerobot_dataset
 from lerobot.datasets.dataset_reader import DatasetReader
 from lerobot.datasets.factory import resolve_delta_timestamps
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
-from lerobot.policies.factory import make_pre_post_processors
-from lerobot.utils.feature_utils import dataset_to_policy_features
+from lerobot.policies.factory import make_policy, make_pre_post_processors
 from measure import save
 from tqdm import tqdm
 
@@ -70,11 +68,9 @@ def samples_per_s(dataset: LeRobotDataset, count: int) -> float:
 
 def training(dataset: LeRobotDataset, options: dict, steps: int) -> dict[str, float]:
     """Seconds of a step's batch and update, as `lerobot-train` takes them."""
-    features = dataset_to_policy_features(dataset.meta.features)
-    inputs = {key: feature for key, feature in features.items() if feature.type is not FeatureType.ACTION}
-    outputs = {key: feature for key, feature in features.items() if feature.type is FeatureType.ACTION}
-    config = lerobot_policy_dp3.DP3Config(device="cpu", input_features=inputs, output_features=outputs, **options)
-    policy = lerobot_policy_dp3.DP3Policy(config).train()
+    config = lerobot_policy_dp3.DP3Config(device="cpu", **options)
+    policy = make_policy(config, ds_meta=dataset.meta).train()
+    assert isinstance(policy, lerobot_policy_dp3.DP3Policy)
     before, _ = make_pre_post_processors(config, dataset_stats=dataset.meta.stats)
     optimizer = config.get_optimizer_preset().build(policy.get_optim_params())
     loader = iter(torch.utils.data.DataLoader(dataset, batch_size=BATCH, shuffle=True, drop_last=True))

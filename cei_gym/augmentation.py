@@ -226,7 +226,7 @@ def _objects(names: tuple[str, ...]) -> dict[str, dict[str, int]]:
     found = {name: column for name, column in columns.items() if {"x_m", "y_m"} <= column.keys()}
     if not found:
         raise CEIError(
-            f"no object's place is in observation.environment_state, whose names are {', '.join(names)}; "
+            f"no object's place is in the state of objects, whose names are {', '.join(names)}; "
             "augmented starts need <object>.x_m and <object>.y_m."
         )
     return found

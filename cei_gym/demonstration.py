@@ -90,7 +90,7 @@ class Demonstration:
         state = self.environment_state
         if state is not None and not np.isfinite(state).all():
             raise CEIError(
-                f"{where}: observation.environment_state is not finite at frame {np.argwhere(~np.isfinite(state))[0][0]}."
+                f"{where}: environment_state is not finite at frame {np.argwhere(~np.isfinite(state))[0][0]}."
             )
         for name, values in (("state", self.qpos), ("action", self.action)):
             bad = np.argwhere(~np.isfinite(values))

@@ -1067,6 +1067,32 @@ def _info() -> Iterator[Case]:
         yield case(
             f"shape of the cloud is {value!r}", has(file, "features", CLOUD, "shape", value=value), CLOUD, "read"
         )
+    for value in (
+        None,
+        [],
+        {},
+        "x",
+        {"shape": None},
+        {"shape": "x"},
+        {"shape": [8]},
+        {"shape": [6, 4]},
+        {"shape": [8, 3.0]},
+    ):
+        yield case(f"info of a flat cloud is {value!r}", _flat_cloud(value), CLOUD, "read")
+    for value in (
+        {"shape": [-8, -3]},
+        {"shape": [10**12, 3]},
+        {"shape": [9, 3]},
+        {"shape": {"8": 3}},
+        {"shape": [[8], [3]]},
+    ):
+        yield case(f"info of a flat cloud is {value!r}", _flat_cloud(value), CLOUD, "read")
+    for value in (None, 5, [], "x", {}, {"format_version": "2.0"}, {"format_version": "2.0", "embodiment": ROBOT}):
+        yield case(f"essentials are {value!r}", _carried(value), "info.cei")
+    for scene in (None, [], {"T_world_base": "here"}, {"T_world_base": np.eye(4).tolist(), "cameras": 5}):
+        told = {"format_version": "2.0", "embodiment": ROBOT, "scene": scene}
+        yield case(f"essentials with the scene {scene!r}", _carried(told), "scene")
+    yield case("essentials that differ", _carried({"x": 1}, {"x": 2}), "differ")
     yield case("names of objects are a number", has(file, "features", OBJECTS, "names", value=5), OBJECTS, "read")
     yield case("names of objects are too few", has(file, "features", OBJECTS, "names", value=["x_m"]), OBJECTS, "read")
     for value in ([48, 64, 3], [1, 1, 1], [], None, "48", [48, 64]):
@@ -1114,6 +1140,22 @@ def _info() -> Iterator[Case]:
     yield case("chunks_size is text", has(file, "chunks_size", value="x"))
 
 
+def _flat_cloud(info: object) -> Spoil:
+    """The cloud's feature as if it was flat; its column is not."""
+    feature = {"dtype": "float32", "shape": [24], "names": None, "info": info}
+    return has(INFO, "features", CLOUD, value=feature)
+
+
+def _carried(state: object, action: object = None) -> Spoil:
+    """What `features` carry of `meta/cei.json`, which is gone."""
+
+    def how(info: Any) -> None:
+        info["features"][STATE]["info"] = {"cei": state}
+        info["features"][ACTION]["info"] = {} if action is None else {"cei": action}
+
+    return both(lambda folder: (folder / CEI).unlink(), edit(INFO, how))
+
+
 def _cei() -> Iterator[Case]:
     file = CEI
 
@@ -1130,7 +1172,7 @@ def _cei() -> Iterator[Case]:
         yield case(f"no {field}", lacks(file, field), field)
     for value in (None, 5, [], "", "../../etc", "Panda", "Panda-PandaGriper", {"a": 1}):
         yield case(f"embodiment is {value!r}", has(file, "embodiment", value=value), "embodiment")
-    for value in (None, "9.0", 2, "", []):
+    for value in (None, "9.0", 3, "", []):
         yield case(f"format_version is {value!r}", has(file, "format_version", value=value), "format_version")
     yield case("scene is a list", has(file, "scene", value=[]), "scene")
     for field in ("T_world_base", "workspace_world", "cameras"):
@@ -1280,7 +1322,7 @@ def _tables() -> Iterator[Case]:
         "cloud is ragged", column(DATA, CLOUD, lambda rows: [[*rows[0], [0.0] * 3], rows[1][:-1], *rows[2:]]), CLOUD
     )
     yield data("cloud has a point less", column(DATA, CLOUD, lambda rows: [row[:-1] for row in rows]), CLOUD)
-    yield data("objects are nan", column(DATA, OBJECTS, lambda rows: [[np.nan] * 2 for _ in rows]), OBJECTS)
+    yield data("objects are nan", column(DATA, OBJECTS, lambda rows: [[np.nan] * 2 for _ in rows]), "environment_state")
     yield data("objects are null", column(DATA, OBJECTS, lambda rows: [None, *rows[1:]]), OBJECTS)
     yield data("episode_index is text", column(DATA, "episode_index", lambda rows: [str(x) for x in rows]), DATA)
     yield data("episode_index is null", column(DATA, "episode_index", lambda rows: [None for _ in rows]), "episode 0")

@@ -95,7 +95,7 @@ LAYERS = {
     "cei_gym": ["errors", "embodiment", "kinematics", "functional", "alignment", "transfer"],
     "cei_converters": [
         *("dataset", "cli", "simulation", "sources", "view", "inspection", "conversion"),
-        *("pads", "record", "replay", "convert", "report", "demo", "benchmark"),
+        *("pads", "record", "replay", "convert", "restore", "report", "demo", "benchmark"),
     ],
 }
 

@@ -341,7 +341,7 @@ def test_pictures_are_left_out_and_those_of_objects_say_which_points_they_are(
         (["--augment.grid=2,2", "--augment.objects=bax"], 2, "Did you mean 'box'? Valid: all, state, box, segmentation."),
         (["--augment.grid=2,2", "--augment.objects=box"], 2, "--augment.objects=box and --augment.box="),
         (["--augment.grid=2,2", "--augment.objects=box", "--augment.box=0,0,0,1,1,0"], 2, "the lower one"),
-        (["--augment.grid=2,2", "--augment.objects=state"], 1, "episode 0 has no observation.environment_state"),
+        (["--augment.grid=2,2", "--augment.objects=state"], 1, "episode 0 has no privileged.environment_state"),
         (["--augment.grid=2,2", "--clouds.swap=false"], 1, "--clouds.swap=false keeps the source in the clouds"),
     ],
 )  # fmt: skip

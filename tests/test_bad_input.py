@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import older
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -230,6 +231,8 @@ def test_missing_metadata(refuse: Callable, root: Path) -> None:
     shutil.rmtree(root / "meta/episodes")
     assert "meta/episodes is missing" in refuse()
     (root / "meta/cei.json").unlink()
+    assert "meta/episodes is missing" in refuse()  # features still say whose it is
+    older.forget(root)
     message = refuse()
     for text in ("meta/cei.json", "scene.T_world_base", "--source="):
         assert text in message
@@ -237,6 +240,7 @@ def test_missing_metadata(refuse: Callable, root: Path) -> None:
 
 def test_metadata_can_be_given(main: Callable, root: Path, capsys: Any) -> None:
     (root / "meta/cei.json").unlink()
+    older.forget(root)
     edit_json(root / "meta/info.json", lambda info: info["features"].pop("observation.depth.front"))
     args = ["--dataset.repo_id=me/pick", f"--dataset.root={root}", f"--target={TARGET}", "--dry_run"]
     code = main([*args, "--episodes=0", f"--source={ROBOT}", "--source_pose=0,0,0.5"])
@@ -258,6 +262,7 @@ def test_metadata_can_be_given(main: Callable, root: Path, capsys: Any) -> None:
     ],
 )
 def test_wrong_metadata(refuse: Callable, root: Path, edit: Callable, message: str) -> None:
+    older.forget(root)
     edit_json(root / "meta/cei.json", edit)
     assert message in refuse()
 

@@ -195,10 +195,10 @@ def test_depth_that_is_not_finite_is_unknown(tmp_path: Path) -> None:
 
 def test_depth_becomes_clouds(source: Path, converted: Path) -> None:
     first = episodes(converted)[0]
-    assert first[0]["observation.point_cloud"].shape == (64, 3)
+    assert first[0]["observation.point_cloud"].shape == (3 * 64,)
     assert not {DEPTH_VIDEO, DEPTH_IMAGE} & set(first[0])
     # both cameras look down from 2 m at a slope between 0.8 and 2 m away
-    cloud = first[0]["observation.point_cloud"].numpy()
+    cloud = first[0]["observation.point_cloud"].numpy().reshape(64, 3)
     slope = cloud[np.abs(cloud[:, 1]) > 0.25]  # away from the robot
     assert len(slope) > 10
     assert (slope[:, 2] > -0.01).all()

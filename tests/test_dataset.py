@@ -1,11 +1,11 @@
 """Datasets are what stock LeRobot loads, lose nothing, and are written whole or not at all."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import older
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -19,7 +19,7 @@ from cei_converters.dataset.episodes import EpisodeWriter
 from cei_converters.dataset.license import source_license
 from cei_converters.dataset.metadata import Environment, Metadata, Source
 from cei_converters.dataset.provenance import collect, command_line, fingerprint
-from cei_converters.dataset.records import RECORDS_PATH, Records
+from cei_converters.dataset.records import Records
 from cei_converters.dataset.rows import EPISODE, read_rows
 from cei_converters.dataset.writer import DatasetWriter
 from cei_converters.sources.reader import DatasetReader
@@ -79,10 +79,19 @@ def test_stock_lerobot_loads_and_iterates(root: Path) -> None:
     depth_mm = np.concatenate([batch["observation.depth.front"] for batch in batches])
     expected_mm = np.rint(1000 * np.concatenate([e.depth_m["front"] for e in EPISODES]))[:, None]
     np.testing.assert_array_equal(depth_mm, expected_mm)
-    assert batches[0]["observation.point_cloud"].shape == (4, 1024, 3)
+    assert batches[0]["observation.point_cloud"].shape == (4, 3072)
+    np.testing.assert_array_equal(
+        batches[0]["observation.point_cloud"].reshape(4, 1024, 3), EPISODES[0].point_cloud_world[:4]
+    )
+    assert dataset.features["observation.point_cloud"]["info"] == {
+        "shape": [1024, 3],
+        "columns": ["x_m", "y_m", "z_m"],
+        "frame": "world",
+    }
     assert batches[0]["action"].shape == (4, 2, 9)
     assert batches[0]["task"][0] == "pick the cube"
-    for key in set(dataset.features) - {"timestamp"}:
+    assert "observation.point_cloud" not in dataset.meta.stats  # of 3072 single coordinates they would say nothing
+    for key in set(dataset.features) - {"timestamp", "observation.point_cloud"}:
         assert np.isfinite(dataset.meta.stats[key]["mean"]).all(), key
     assert dataset.features["observation.state"]["names"][6:8] == ["joint7.pos_rad", "finger_joint1.pos_m"]
 
@@ -90,7 +99,12 @@ def test_stock_lerobot_loads_and_iterates(root: Path) -> None:
 def test_equals_what_lerobots_own_writer_writes(root: Path, tmp_path: Path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
+    written = json.loads((root / "meta/info.json").read_text())["features"]
     features = schema.features(load_embodiment(ROBOT), EPISODES[0])
+    assert all(
+        written[key].items() >= {**feature, "shape": [*feature["shape"]]}.items() for key, feature in features.items()
+    )
+    features = {key: {**written[key], "shape": feature["shape"]} for key, feature in features.items()}
     stock = LeRobotDataset.create(
         REPO_ID, fps=20, features=features, root=tmp_path / "stock", robot_type=ROBOT, use_videos=False
     )
@@ -105,12 +119,14 @@ def test_equals_what_lerobots_own_writer_writes(root: Path, tmp_path: Path) -> N
         for file in ("info.json", "stats.json")
     )
     assert info[0] == info[1]
+    stats[1].pop("observation.point_cloud")
     ours, theirs = (flatten_dict(each) for each in stats)
     assert ours.keys() == theirs.keys()
     for key in ours:
         np.testing.assert_allclose(ours[key], theirs[key], rtol=1e-6, err_msg=key)
     for file in ("data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/tasks.parquet"):
         ours, theirs = (pq.read_table(folder / file) for folder in (root, stock.root))
+        theirs = theirs.select([name for name in theirs.column_names if "stats/observation.point_cloud/" not in name])
         assert ours.schema == theirs.schema, file
         assert ours.equals(theirs), file
     described = [
@@ -223,15 +239,47 @@ def test_metadata_round_trips(root: Path) -> None:
     assert "y down" in raw["conventions"]["camera"]
 
 
-def test_records_of_format_1_0_are_read(root: Path, tmp_path: Path) -> None:
-    shutil.copytree(root, tmp_path / "older")
-    records, path = tmp_path / "older" / RECORDS_PATH, tmp_path / "older/meta/cei.json"
-    known = list(Records(root))
-    records.unlink()
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"format_version": "1.0", "episodes": known}))
+@pytest.mark.parametrize("version", older.VERSIONS)
+def test_older_layouts_are_read(version: str, tmp_path: Path) -> None:
+    environment = {"id": "CEI-PickCube-Panda-PandaGripper", "kwargs": {"start_qpos": [[0.0] * 9]}}
+    source = {"repo_id": "me/other", "embodiment": "IIWA-Inspire"}
+    provenance = {"source": source, "options": {"clouds": {"points": 1024, "tau_m": 0.01}}}
+    known = [{"seed": 4, "source_episode": 1}, {"seed": 5, "source_episode": 0}]
+    older.write(tmp_path / "older", version, EPISODES, known, environment, provenance)
     reader = DatasetReader(REPO_ID, tmp_path / "older")
-    assert [reader.record(i) for i in range(len(known))] == known
-    assert reader.metadata is not None and reader.metadata.environment == Metadata.load(root).environment
+    for got, wrote in zip(reader, EPISODES, strict=True):
+        np.testing.assert_array_equal(got.point_cloud_world, wrote.point_cloud_world)
+        np.testing.assert_array_equal(got.environment_state, wrote.environment_state.astype(np.float32))
+        assert got.environment_state_names == wrote.environment_state_names
+    assert [reader.record(i) for i in range(2)] == known
+    assert [reader.source_episode(i) for i in range(2)] == [1, 0]
+    assert reader.metadata is not None and reader.metadata.clouds == {"points": 1024, "tau_m": 0.01}
+    assert reader.metadata.environment == Environment(environment["id"], environment["kwargs"])
+    assert reader.ignored_features == []
+    with DatasetWriter(REPO_ID, tmp_path / "newer") as writer:
+        for episode in reader:
+            writer.add(episode)
+    newer = json.loads((tmp_path / "newer/meta/info.json").read_text())["features"]
+    assert newer["observation.point_cloud"]["shape"] == [3072]
+    assert "observation.environment_state" not in newer and "privileged.environment_state" in newer
+    for got, wrote in zip(DatasetReader(REPO_ID, tmp_path / "newer"), EPISODES, strict=True):
+        np.testing.assert_array_equal(got.point_cloud_world, wrote.point_cloud_world)
+
+
+def test_policies_are_given_the_state_of_objects_only_where_it_is_asked_for(tmp_path: Path) -> None:
+    from lerobot.utils.feature_utils import dataset_to_policy_features
+
+    for name, key in (("default", "privileged.environment_state"), ("asked", "observation.environment_state")):
+        with DatasetWriter(REPO_ID, tmp_path / name, state_key=schema.state_key(name == "asked")) as writer:
+            writer.add(EPISODES[0])
+        features = json.loads((tmp_path / name / "meta/info.json").read_text())["features"]
+        given = {found for found in dataset_to_policy_features(features) if "environment_state" in found}
+        assert given == {"observation.environment_state"} & {key}
+        (episode,) = DatasetReader(REPO_ID, tmp_path / name)
+        np.testing.assert_array_equal(episode.environment_state, EPISODES[0].environment_state.astype(np.float32))
+        card = (tmp_path / name / "README.md").read_text()
+        assert ("no policy is given it" in card) == (name == "default")
+        assert ("LeRobot's ACT and Diffusion take it" in card) == (name == "asked")
 
 
 def test_card_is_complete(root: Path) -> None:

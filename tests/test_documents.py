@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cei_converters import record, replay
+from cei_converters import record, replay, restore
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types
@@ -26,6 +26,7 @@ OPTIONS = {
         "cei-record": record.RecordConfig,
         "cei-replay": replay.ReplayConfig,
         "cei-inspect": InspectConfig,
+        "cei-restore": restore.RestoreConfig,
         "cei-pads": PadsConfig,
         "cei-view": ViewConfig,
         "cei-benchmark replay": ReplayBenchmarkConfig,

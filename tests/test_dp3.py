@@ -1,19 +1,26 @@
 """The DP3 policy plugin: its networks, its average, its normalisation and its options."""
 
+import json
 import math
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
-from lerobot.configs import FeatureType, PolicyFeature
-from lerobot.policies.factory import make_policy_config, make_pre_post_processors
+from diffusers.schedulers.scheduling_ddim import DDIMScheduler
+from lerobot.configs import FeatureType, PolicyFeature, PreTrainedConfig
+from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.policies.factory import make_policy, make_policy_config, make_pre_post_processors
 from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor, nn
 
 from lerobot_policy_dp3 import DP3Config, DP3Policy
+from lerobot_policy_dp3.clouds import bounds_of
 from lerobot_policy_dp3.configuration_dp3 import SIZES
 from lerobot_policy_dp3.encoder import PointNet
-from lerobot_policy_dp3.original import from_original
+from lerobot_policy_dp3.original import from_original, import_original
 
 CLOUD = "observation.point_cloud"
 JOINTS, POINTS = 7, 50
@@ -100,17 +107,37 @@ def test_it_learns_a_constant_and_its_average_acts():
 
 
 def test_the_average_follows_the_weights_as_in_dp3():
+    """DP3's `EMAModel` asks for the decay of a step before it counts it, which starts the average one step later than diffusers'
+    of today: steps 0 and 1 copy, step 2 decays by 1 - 2 ** -0.75."""
     policy = DP3Policy(config())
     weight, average = policy.model.obs_encoder.state_mlp[0].bias, policy.average.module.obs_encoder.state_mlp[0].bias
-    expected = None
-    for step in range(20):
+    values, decays, expected = [5.0, -3.0, 1.0, 0.5, 2.0, 7.0], [0.0, 0.0, 0.405396, 0.561309, 0.646447, 0.700930], 0.0
+    for value, decay in zip(values, decays, strict=True):
         with torch.no_grad():
-            weight.fill_(step)
+            weight.fill_(value)
         policy.update()
-        decay = min(0.9999, 1 - (1 + step) ** -0.75) if step else 0.0
-        expected = step if expected is None else decay * expected + (1 - decay) * step
-        torch.testing.assert_close(average, torch.full_like(average, expected))
+        expected = decay * expected + (1 - decay) * value
+        torch.testing.assert_close(average, torch.full_like(average, expected), rtol=0, atol=2e-5)
     assert not any(p.requires_grad for p in policy.average.parameters())
+
+
+def test_the_average_is_that_of_diffusers_one_step_later():
+    from diffusers.training_utils import EMAModel
+
+    policy, weight = DP3Policy(config(ema_max_decay=0.9)), nn.Parameter(torch.zeros(3))
+    theirs = EMAModel([weight], decay=0.9, use_ema_warmup=True, inv_gamma=1.0, power=0.75)
+    ours, averaged = (m.obs_encoder.state_mlp[0].bias for m in (policy.model, policy.average.module))
+    torch.manual_seed(3)
+    for step in range(40):
+        with torch.no_grad():
+            ours.fill_(float(value := torch.randn(())))
+            weight.fill_(float(value))
+        policy.update()
+        if step:  # its first counts as DP3's second
+            theirs.step([weight])
+        else:
+            theirs.shadow_params[0].copy_(weight)
+        torch.testing.assert_close(averaged, theirs.shadow_params[0][:1].expand_as(averaged))
 
 
 def test_a_saved_policy_loads_with_its_average(tmp_path):
@@ -167,27 +194,165 @@ def test_what_hardly_moves_is_not_blown_up():
     }
     before, after = make_pre_post_processors(config(), dataset_stats=stats)
     state = torch.tensor([[0.0, 1.0, 0.5, 0.0, 0.0, 0.01, -0.05]])
-    seen = before({OBS_STATE: state, CLOUD: torch.full((1, POINTS, 3), 0.04)})
+    seen = before({OBS_STATE: state})
     torch.testing.assert_close(
         seen[OBS_STATE], torch.tensor([[-1.0, 1.0, 0.0, -1.0, -1.0, 0.2, -1.0]]), atol=1e-4, rtol=0
     )
-    torch.testing.assert_close(seen[CLOUD], torch.ones(1, POINTS, 3))
     torch.testing.assert_close(after(torch.ones(1, JOINTS)), torch.ones(1, JOINTS))
     torch.testing.assert_close(after(-torch.ones(1, JOINTS)), torch.zeros(1, JOINTS))
+
+
+# -- clouds as datasets have them ---------------------------------------------------------------------------------
+
+LAYOUT = {"shape": [POINTS, 3], "columns": ["x_m", "y_m", "z_m"]}
+LOW, HIGH = (-0.5, 0.25, 0.8), (0.5, 1.25, 0.8)  # z does not change
+DATASET = {  # its shape, and what else describes it
+    "flat": ((POINTS * 3,), {"names": None, "info": LAYOUT}),
+    "2-D": ((POINTS, 3), {"names": ["point", "xyz_m"]}),
+}
+
+
+def clouds(frames: int) -> np.ndarray:
+    """(frames, POINTS, 3) float32 from LOW to HIGH, which no frame has all of."""
+    rng = np.random.default_rng(0)
+    found = rng.uniform(LOW, HIGH, (frames, POINTS, 3)).clip(np.array(LOW) + 1e-3, np.array(HIGH) - 1e-3)
+    found[..., 2] = 0.8
+    found[3, 7, 0], found[9, 1, 1], found[4, 0, 0], found[11, 49, 1] = LOW[0], LOW[1], HIGH[0], HIGH[1]
+    return found.astype(np.float32)
+
+
+@pytest.fixture(scope="module", params=DATASET)
+def dataset(request, tmp_path_factory):
+    """Its layout, and a dataset of that, as LeRobot writes it, with statistics of flat clouds only where LeRobot makes some."""
+    shape, description = DATASET[request.param]
+    root = tmp_path_factory.mktemp("dp3") / "clouds"
+    joints = {"dtype": "float32", "shape": (JOINTS,), "names": None}
+    features = {OBS_STATE: joints, ACTION: joints, CLOUD: {"dtype": "float32", "shape": shape, **description}}
+    made = LeRobotDataset.create("me/clouds", 10, features, root=root, use_videos=False)
+    for t, cloud in enumerate(clouds(12)):
+        qpos = np.full(JOINTS, t / 10, np.float32)
+        made.add_frame({OBS_STATE: qpos, ACTION: qpos, CLOUD: cloud.reshape(shape), "task": "x"})
+        if t in (5, 11):
+            made.save_episode()
+    made.finalize()
+    if request.param == "flat":  # cei-convert makes none, `recompute_stats` does
+        (root / "meta/stats.json").rename(root / "meta/made.json")
+        stats = json.loads((root / "meta/made.json").read_text())
+        stats.pop(CLOUD)
+        (root / "meta/stats.json").write_text(json.dumps(stats))
+    return request.param, LeRobotDataset("me/clouds", root)
+
+
+def test_clouds_of_any_layout_are_normalised_by_their_channels_bounds(dataset):
+    layout, data = dataset
+    made = DP3Config(device="cpu", **TINY)
+    policy = make_policy(made, ds_meta=data.meta)
+    assert isinstance(policy, DP3Policy)
+    assert policy.config.cloud_feature.shape == (POINTS, 3)
+    np.testing.assert_allclose(policy.config.cloud_bounds, [LOW, HIGH], rtol=0, atol=1e-7)
+    before, _ = make_pre_post_processors(policy.config, dataset_stats=data.meta.stats)
+    seen = before({key: data[4][key][None] for key in (OBS_STATE, CLOUD)})
+    torch.testing.assert_close(seen[CLOUD][0], data[4][CLOUD])  # the policy does it
+    looked_at = []
+    policy.model.obs_encoder.forward = lambda cloud, state: looked_at.append(cloud) or torch.zeros(len(cloud), 128)
+    policy.select_action(seen)
+    expected = clouds(12)[4].astype(float)
+    expected = np.stack([2 * expected[:, 0], 2 * (expected[:, 1] - 0.75), 0 * expected[:, 2]], axis=1)
+    np.testing.assert_allclose(looked_at[0][0], expected, rtol=0, atol=1e-6)
+    if layout == "flat":
+        made = json.loads((data.root / "meta/made.json").read_text())  # of each of its entries
+        (low, high) = bounds_of(CLOUD, 3, made, None)
+        np.testing.assert_allclose([low, high], [LOW, HIGH], rtol=0, atol=1e-7)
+
+
+def test_a_policy_acts_alike_on_flat_clouds_and_others():
+    policy = DP3Policy(config(random_points=True, points=20, cloud_bounds=((-1.0, -2.0, 0.0), (1.0, 2.0, 3.0)))).eval()
+    batch, noise = windows(), torch.randn(4, 16, JOINTS)
+    flat = {**batch, CLOUD: batch[CLOUD].flatten(-2)}
+    torch.testing.assert_close(
+        policy.predict_action_chunk(flat, noise), policy.predict_action_chunk(batch, noise), rtol=0, atol=0
+    )
+    policy.train()
+    torch.testing.assert_close(policy(flat)[0], policy(batch)[0], rtol=0, atol=0)
+    policy.eval()
+    actions = []
+    for seen in (flat, batch):
+        policy.reset()
+        observation = {key: value[:, 0] for key, value in seen.items() if key != ACTION}
+        actions.append(policy.select_action(observation, noise))
+    torch.testing.assert_close(*actions, rtol=0, atol=0)
+
+
+def test_what_a_dataset_does_not_say_of_its_clouds_is_refused():
+    flat = {"dtype": "float32", "shape": (POINTS * 3,), "names": None}
+    for info in (None, {}, {"shape": [POINTS, 4]}, {"shape": [POINTS, 6]}, {"shape": POINTS}):
+        with pytest.raises(ValueError, match=r"is flat, \(150,\), and its info.shape does not say"):
+            config().set_dataset_feature_metadata({CLOUD: flat | {"info": info}})
+    trained = config(cloud_bounds=((-1.0,) * 3, (1.0,) * 3))
+    trained.pretrained_path = Path("checkpoint")
+    trained.set_dataset_feature_metadata({CLOUD: flat | {"info": LAYOUT}})
+    coloured = {"dtype": "float32", "shape": (POINTS * 6,), "names": None, "info": {"shape": [POINTS, 6]}}
+    with pytest.raises(ValueError, match="has 6 channels, the policy was trained on 3"):
+        trained.set_dataset_feature_metadata({CLOUD: coloured})
+    trained.cloud_bounds = None
+    with pytest.raises(ValueError, match="trained by an earlier version"):
+        trained.set_dataset_feature_metadata({CLOUD: flat | {"info": LAYOUT}})
+
+
+def test_bounds_that_nothing_tells_are_asked_for(dataset):
+    _, data = dataset
+    elsewhere = LeRobotDatasetMetadata("me/clouds", data.root)
+    elsewhere.root, elsewhere.stats = data.root / "meta", {}  # as of a dataset that is streamed
+    with pytest.raises(ValueError, match=r"give --policy\.cloud_bounds"):
+        make_policy(DP3Config(device="cpu", **TINY), ds_meta=elsewhere)
+    given = DP3Config(device="cpu", cloud_bounds=((-1.0,) * 3, (1.0,) * 3), **TINY)
+    assert make_policy(given, ds_meta=elsewhere).config.cloud_bounds == ((-1.0,) * 3, (1.0,) * 3)
+
+
+def test_a_trained_policy_keeps_its_bounds_where_it_is_trained_on(dataset, tmp_path):
+    layout, data = dataset
+    policy = make_policy(DP3Config(device="cpu", **TINY), ds_meta=data.meta)
+    bounds = policy.config.cloud_bounds
+    policy.save_pretrained(tmp_path)
+    again = PreTrainedConfig.from_pretrained(tmp_path)
+    again.pretrained_path = tmp_path
+    assert isinstance(again, DP3Config) and again.cloud_bounds == bounds
+    assert make_policy(again, ds_meta=data.meta).config.cloud_bounds == bounds
+    # of an earlier version: its clouds were normalised before they came to it
+    older = json.loads((tmp_path / "config.json").read_text())
+    for field in ("cloud_bounds", "residual_blocks"):
+        del older[field]
+    (tmp_path / "config.json").write_text(json.dumps(older))
+    again = PreTrainedConfig.from_pretrained(tmp_path)
+    again.pretrained_path = tmp_path
+    if layout == "2-D":
+        loaded = make_policy(again, ds_meta=data.meta)
+        assert loaded.config.cloud_bounds is None and loaded.config.residual_blocks == 2
+    else:
+        with pytest.raises(ValueError, match="trained by an earlier version"):
+            make_policy(again, ds_meta=data.meta)
 
 
 def test_it_is_registered_with_lerobot_by_name():
     made = make_policy_config("dp3", device="cpu", size="simple")
     assert isinstance(made, DP3Config)
-    assert made.down_dims == SIZES["simple"]
+    assert (made.down_dims, made.residual_blocks) == SIZES["simple"] == ((128, 256, 384), 1)
     assert made.drop_n_last_frames == 7
     assert made.observation_delta_indices == [-1, 0]
     assert made.action_delta_indices == list(range(-1, 15))
 
 
-def test_the_papers_size_is_dp3s():
-    policy = DP3Policy(config(size="paper", down_dims=None, diffusion_step_embed_dim=128))
-    assert 2.5e8 < sum(weight.numel() for weight in policy.model.parameters()) < 2.7e8
+def weights_of(size: str, joints: int) -> int:
+    """How many weights a policy of a robot with so many joints has."""
+    made = config(size=size, down_dims=None, diffusion_step_embed_dim=128)
+    made.input_features[OBS_STATE] = PolicyFeature(FeatureType.STATE, (joints,))
+    made.output_features[ACTION] = PolicyFeature(FeatureType.ACTION, (joints,))
+    return sum(weight.numel() for weight in DP3Policy(made).model.parameters())
+
+
+def test_sizes_are_those_of_dp3_and_simple_dp3():
+    assert weights_of("simple", 17) == 7_451_281  # of the original, for a UR5e with a Fourier hand
+    assert 2.5e8 < weights_of("paper", 7) < 2.7e8
 
 
 @pytest.mark.parametrize(
@@ -201,6 +366,9 @@ def test_the_papers_size_is_dp3s():
         ({"points": 51}, "the cloud has 50"),
         ({"use_colours": True}, "no colours"),
         ({"cloud_key": "observation.cloud"}, "needs a point cloud"),
+        ({"residual_blocks": 3}, "policy.residual_blocks=3. Valid: 1, 2"),
+        ({"cloud_bounds": ((0.0,) * 6, (1.0,) * 6)}, "least and the largest value of 3 channels"),
+        ({"cloud_bounds": ((0.0,) * 3, (1.0, 1.0, -1.0))}, "least and the largest value of 3 channels"),
     ],
 )
 def test_bad_options_get_one_line(options, says):
@@ -244,42 +412,54 @@ class Wrapped(nn.Module):
 
 
 class Sinusoids(nn.Module):
+    def __init__(self, half: int) -> None:
+        super().__init__()
+        self.half = half
+
     def forward(self, step):
-        half = 8
+        half = self.half
         angles = step[:, None] * torch.exp(torch.arange(half) * -(math.log(10000) / (half - 1)))[None]
         return torch.cat([angles.sin(), angles.cos()], dim=-1)
 
 
 class OriginalUnet(nn.Module):
-    def __init__(self, actions: int, condition: int) -> None:
+    """DP3's with two residual blocks a level, Simple DP3's with one."""
+
+    def __init__(self, actions: int, condition: int, widths: tuple[int, ...], embed: int, blocks: int) -> None:
         super().__init__()
-        a, b, embed = 16, 32, 16
         c = condition + embed
         self.diffusion_step_encoder = nn.Sequential(
-            Sinusoids(), nn.Linear(embed, 4 * embed), nn.Mish(), nn.Linear(4 * embed, embed)
+            Sinusoids(embed // 2), nn.Linear(embed, 4 * embed), nn.Mish(), nn.Linear(4 * embed, embed)
         )
-        self.mid_modules = nn.ModuleList([Residual(b, b, c), Residual(b, b, c)])
-        down = Wrapped(nn.Conv1d(a, a, 3, 2, 1)), nn.Identity()
-        self.down_modules = nn.ModuleList(
-            nn.ModuleList([Residual(before, after, c), Residual(after, after, c), layer])
-            for before, after, layer in ((actions, a, down[0]), (a, b, down[1]))
-        )
-        up = Wrapped(nn.ConvTranspose1d(a, a, 4, 2, 1))
-        self.up_modules = nn.ModuleList([nn.ModuleList([Residual(2 * b, a, c), Residual(a, a, c), up])])
-        self.final_conv = nn.Sequential(Conv(a, a, 5), nn.Conv1d(a, actions, 1))
+        last = widths[-1]
+        self.mid_modules = nn.ModuleList([Residual(last, last, c) for _ in range(blocks)])
+
+        def level(before: int, after: int, layer: nn.Module) -> nn.ModuleList:
+            return nn.ModuleList(
+                [Residual(before, after, c), *([Residual(after, after, c)] if blocks == 2 else []), layer]
+            )
+
+        halve = [Wrapped(nn.Conv1d(w, w, 3, 2, 1)) for w in widths[:-1]] + [nn.Identity()]
+        self.down_modules = nn.ModuleList(map(level, (actions, *widths[:-1]), widths, halve))
+        double = [Wrapped(nn.ConvTranspose1d(w, w, 4, 2, 1)) for w in widths[-2::-1]]
+        self.up_modules = nn.ModuleList(map(level, [2 * w for w in widths[:0:-1]], widths[-2::-1], double))
+        self.final_conv = nn.Sequential(Conv(widths[0], widths[0], 5), nn.Conv1d(widths[0], actions, 1))
 
     def forward(self, sample, step, condition):
         condition = torch.cat([self.diffusion_step_encoder(step), condition], dim=-1)
         x, kept = sample.transpose(1, 2), []
-        for first, second, halve in self.down_modules:
-            x = second(first(x, condition), condition)
+        for *blocks, halve in self.down_modules:
+            for block in blocks:
+                x = block(x, condition)
             kept.append(x)
             x = halve(x)
         for middle in self.mid_modules:
             x = middle(x, condition)
-        for first, second, double in self.up_modules:
+        for *blocks, double in self.up_modules:
             x = torch.cat([x, kept.pop()], dim=1)
-            x = double(second(first(x, condition), condition))
+            for block in blocks:
+                x = block(x, condition)
+            x = double(x)
         return self.final_conv(x).transpose(1, 2)
 
 
@@ -299,16 +479,56 @@ class OriginalEncoder(nn.Module):
         return torch.cat([cloud, self.state_mlp(state)], dim=-1)
 
 
-class Original(nn.Module):
-    def __init__(self) -> None:
+class Normalizer(nn.Module):
+    """The original's `LinearNormalizer`: minimum and maximum of each channel become -1 and 1; what hardly moves is centred."""
+
+    def __init__(self, **data: Tensor) -> None:
         super().__init__()
-        self.obs_encoder, self.model = OriginalEncoder(), OriginalUnet(JOINTS, 256)
-        self.normalizer = nn.Linear(1, 1)  # left out
+        self.params_dict = nn.ParameterDict()
+        for key, values in data.items():
+            low, high = values.reshape(-1, values.shape[-1]).aminmax(dim=0)
+            still = high - low < 1e-4
+            scale = torch.where(still, 1.0, 2 / (high - low))
+            of_key = {"scale": scale, "offset": torch.where(still, -low, -1 - scale * low)}
+            stats = nn.ParameterDict({"min": low, "max": high})
+            self.params_dict[key] = nn.ParameterDict({**of_key, "input_stats": stats}).requires_grad_(False)
+
+    def normalize(self, key: str, x: Tensor) -> Tensor:
+        return x * self.params_dict[key]["scale"] + self.params_dict[key]["offset"]
+
+    def unnormalize(self, key: str, x: Tensor) -> Tensor:
+        return (x - self.params_dict[key]["offset"]) / self.params_dict[key]["scale"]
 
 
-def test_weights_of_the_original_fit_by_their_names_and_act_alike():
+class Original(nn.Module):
+    def __init__(self, widths: tuple[int, ...] = (16, 32), embed: int = 16, blocks: int = 2, channels: int = 3) -> None:
+        super().__init__()
+        self.obs_encoder, self.model = OriginalEncoder(), OriginalUnet(JOINTS, 256, widths, embed, blocks)
+        rad = torch.randn(40, JOINTS) * torch.linspace(1, 3, JOINTS) + 0.3
+        rad[:, 2] = 0.7  # a joint that never moves
+        cloud = torch.rand(5, 30, channels) * torch.linspace(0.3, 0.9, channels) + 0.6
+        self.normalizer = Normalizer(agent_pos=rad, action=2 * rad + 1, point_cloud=cloud)
+        self._dummy_variable = nn.Parameter()  # left out
+
+    @torch.no_grad()
+    def predict_action(self, state: Tensor, cloud: Tensor, noise: Tensor) -> Tensor:
+        """(B, T, n) from (B, 2, ...) of what is seen."""
+        points = self.normalizer.normalize("point_cloud", cloud)[..., :3]
+        state = self.normalizer.normalize("agent_pos", state)
+        features = self.obs_encoder(points.flatten(0, 1), state.flatten(0, 1)).reshape(len(state), -1)
+        scheduler = DDIMScheduler(100, beta_schedule="squaredcos_cap_v2", prediction_type="sample", clip_sample=True)
+        scheduler.set_timesteps(10)
+        actions = noise
+        for step in scheduler.timesteps:
+            predicted = self.model(actions, step.expand(len(actions)), features)
+            actions = scheduler.step(predicted, step, actions).prev_sample
+        return self.normalizer.unnormalize("action", actions)
+
+
+@pytest.mark.parametrize("blocks", [1, 2])
+def test_weights_of_the_original_fit_by_their_names_and_act_alike(blocks: int):
     torch.manual_seed(2)
-    original, policy = Original(), DP3Policy(config())
+    original, policy = Original(blocks=blocks), DP3Policy(config(residual_blocks=blocks))
     policy.model.load_state_dict(from_original(original.state_dict()), strict=True)
     batch, noisy, step = windows(), torch.randn(4, 16, JOINTS), torch.tensor([0, 10, 50, 99])
     with torch.no_grad():
@@ -318,3 +538,51 @@ def test_weights_of_the_original_fit_by_their_names_and_act_alike():
         torch.testing.assert_close(
             policy.model.unet(noisy, step, global_cond=condition), original.model(noisy, step, features)
         )
+
+
+def test_simple_dp3_is_the_originals_with_as_many_weights():
+    torch.manual_seed(2)
+    original = Original((128, 256, 384), 128, blocks=1)
+    policy = DP3Policy(config(size="simple", down_dims=None, diffusion_step_embed_dim=128))
+    policy.model.load_state_dict(from_original(original.state_dict()), strict=True)
+    networks = (original.obs_encoder, original.model)
+    assert weights_of("simple", JOINTS) == sum(p.numel() for net in networks for p in net.parameters())
+
+
+@pytest.mark.parametrize(("stored", "seen"), [(3, 3), (6, 6), (6, 3)])
+def test_an_imported_policy_acts_on_what_is_seen_as_the_original_does(stored: int, seen: int, tmp_path):
+    torch.manual_seed(4)
+    original = Original(channels=stored)
+    for part in (*import_original(original.state_dict(), config(seen)),):
+        part.save_pretrained(tmp_path)
+    loaded = PreTrainedConfig.from_pretrained(tmp_path)
+    before, after = make_pre_post_processors(loaded, pretrained_path=str(tmp_path))
+    policy = DP3Policy.from_pretrained(tmp_path)
+    state, noise = torch.randn(4, JOINTS), torch.randn(4, 16, JOINTS)
+    cloud = torch.rand(4, POINTS, stored) * 0.5 + 0.5
+    expected = original.predict_action(*(x[:, None].expand(-1, 2, *x.shape[1:]) for x in (state, cloud)), noise)
+    chosen = policy.select_action(before({OBS_STATE: state, CLOUD: cloud[..., :seen]}), noise)
+    torch.testing.assert_close(after(chosen), expected[:, 1], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"normalizer.params_dict.action.scale": None}, "no normaliser of action .*action.scale"),
+        ({"normalizer.params_dict.action.scale": torch.ones(9)}, "of action is of 9 entries, not of 7"),
+        (
+            {"normalizer.params_dict.agent_pos.scale": torch.zeros(JOINTS)},
+            "of agent_pos has a scale that is not above 0",
+        ),
+        ({"normalizer.params_dict.agent_pos.offset": torch.full((JOINTS,), torch.nan)}, "of agent_pos has a scale"),
+        ({"normalizer.params_dict.point_cloud.scale": torch.full((3,), 1e6)}, "span less than 0.0001 m"),
+        (
+            {"normalizer.params_dict.imagin_robot.scale": torch.ones(3)},
+            "looks at imagin_robot, which this policy does not",
+        ),
+    ],
+)
+def test_what_cannot_be_imported_is_refused(change: dict, says: str):
+    weights = {key: value for key, value in (Original().state_dict() | change).items() if value is not None}
+    with pytest.raises(ValueError, match=says):
+        import_original(weights, config())

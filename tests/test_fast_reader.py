@@ -17,6 +17,7 @@ FPS, LENGTHS = 10, (7, 2, 12)
 NUMBERS = {
     "observation.state": ("float32", (5,)),
     "observation.point_cloud": ("float32", (30, 3)),
+    "observation.flat_cloud": ("float32", (90,)),
     "observation.double": ("float64", (2,)),
     "observation.count": ("int64", (3,)),
     "observation.small": ("int32", (1,)),

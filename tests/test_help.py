@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from cei_converters import convert, pads, record, replay, view
+from cei_converters import convert, pads, record, replay, restore, view
 from cei_converters.benchmark import command
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
@@ -18,6 +18,7 @@ COMMANDS = {
     "record": (record.main, ["--help"], record.RecordConfig),
     "replay": (replay.main, ["--help"], replay.ReplayConfig),
     "inspect": (inspecting.main, ["--help"], inspecting.InspectConfig),
+    "restore": (restore.main, ["--help"], restore.RestoreConfig),
     "pads": (pads.main, ["--help"], pads.PadsConfig),
     "view": (view.main, ["--help"], ViewConfig),
     "benchmark policy": (command.main, ["policy", "--help"], PolicyBenchmarkConfig),

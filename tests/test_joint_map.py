@@ -132,7 +132,7 @@ def scrambled(tmp_path: Path) -> Callable[[np.ndarray, np.ndarray], Path]:
         (root / "meta/cei.json").unlink()
         info = json.loads((root / "meta/info.json").read_text())
         for key in ("observation.state", "action"):
-            info["features"][key]["names"] = [f"servo_{i}" for i in range(state.shape[1])]
+            info["features"][key] |= {"names": [f"servo_{i}" for i in range(state.shape[1])], "info": {}}
         (root / "meta/info.json").write_text(json.dumps(info))
         return root
 

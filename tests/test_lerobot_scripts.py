@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+from lerobot.policies.factory import make_policy, make_policy_config
+from lerobot.utils.feature_utils import dataset_to_policy_features
 from safetensors.torch import load_file
 
 DP3 = ("--policy.type=dp3", "--policy.down_dims=[16,32]", "--policy.points=64", "--policy.scheduler_warmup_steps=2")
@@ -32,20 +35,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source = ("--env=CEI-PickCube-Panda-PandaGripper", "--episodes=2", "--seed=0", "--repo_id=me/panda", "--root=panda")
     run("cei-record", *source, cwd=folder)
     moved = ("--dataset.repo_id=me/panda", "--dataset.root=panda", "--target=UR5e-FourierRight")
-    run("cei-convert", *moved, "--new_repo_id=me/ur5e", "--new_root=ur5e", cwd=folder)
+    run("cei-convert", *moved, "--new_repo_id=me/uncut", "--new_root=uncut", cwd=folder)
+    edited = ("--new_repo_id=me/ur5e", f"--new_root={folder / 'ur5e'}", "--operation.type=delete_episodes")
+    operation = ("--repo_id=me/uncut", f"--root={folder / 'uncut'}", *edited, "--operation.episode_indices=[0]")
+    run("lerobot-edit-dataset", *operation, cwd=folder)  # what is left of it trains and is evaluated as any
+    told = ("--privileged_state", "--new_repo_id=me/told", "--new_root=told", "--episodes=1")
+    run("cei-convert", *moved, *told, cwd=folder)
     return folder
 
 
-def train(folder: Path, output: str, *options: str) -> dict[str, torch.Tensor]:
-    data = ("--dataset.repo_id=me/ur5e", "--dataset.root=ur5e", "--dataset.video_backend=pyav", "--num_workers=0")
-    rest = (
-        "--policy.device=cpu",
-        "--policy.push_to_hub=false",
-        "--batch_size=4",
-        "--log_freq=1",
-        f"--output_dir={output}",
-    )
-    run("lerobot-train", *data, *rest, *options, cwd=folder)
+def train(folder: Path, output: str, *options: str, root: str = "ur5e") -> dict[str, torch.Tensor]:
+    data = (f"--dataset.repo_id=me/{root}", f"--dataset.root={root}", "--dataset.video_backend=pyav")
+    rest = ("--policy.device=cpu", "--policy.push_to_hub=false", "--batch_size=4", "--log_freq=1", "--num_workers=0")
+    run("lerobot-train", *data, *rest, f"--output_dir={output}", *options, cwd=folder)
     return weights(folder, output)
 
 
@@ -84,9 +86,21 @@ def test_dp3_trains_resumes_exactly_and_is_evaluated(folder: Path) -> None:
     ],
     ids=["act", "diffusion"],
 )
-def test_lerobots_own_policies_train_on_states(folder: Path, policy: tuple[str, ...]) -> None:
-    trained = train(folder, policy[0].removeprefix("--policy.type="), *policy, "--steps=2", "--save_freq=2")
+def test_lerobots_own_policies_train_on_states_where_they_are_told_them(folder: Path, policy: tuple[str, ...]) -> None:
+    name, options = policy[0].removeprefix("--policy.type="), (*policy, "--steps=2", "--save_freq=2")
+    trained = train(folder, name, *options, root="told")
     assert all(torch.isfinite(value).all() for value in trained.values())
+    # Otherwise they say themselves that they have nothing to look at.
+    blind = make_policy_config(name, device="cpu")
+    with pytest.raises(
+        ValueError, match="You must provide at least one image or the environment state among the inputs"
+    ):
+        make_policy(blind, ds_meta=LeRobotDatasetMetadata("me/ur5e", folder / "ur5e"))
+    assert blind.input_features is not None
+    assert set(blind.input_features) == {"observation.state", "observation.point_cloud"}
+    recorded = dataset_to_policy_features(LeRobotDatasetMetadata("me/panda", folder / "panda").features)
+    assert set(recorded) == {"action", "observation.state", "observation.point_cloud", "observation.depth.front"}
+    assert recorded["observation.depth.front"].shape == (1, 120, 160)  # which they take for a picture
 
 
 def test_an_unknown_task_of_an_environment_is_one_clear_line(folder: Path) -> None:

@@ -7,10 +7,14 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.envs.factory import make_env_pre_post_processors
 
 from cei_converters import convert, pads, record, replay
 from cei_converters.dataset.metadata import Metadata
 from cei_converters.dataset.records import Records
+from cei_converters.dataset.starts import find_starts
 from cei_converters.simulation.environment import open_environment
 from cei_converters.sources.reader import DatasetReader
 from cei_envs.rollout import NEW_ROLLOUT
@@ -19,6 +23,7 @@ from cei_gym.errors import CEIError
 from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, frame_points
 from cei_gym.wrapper import CrossEmbodimentWrapper
 from lerobot_env_cei import CEIEnvConfig
+from lerobot_policy_dp3 import DP3Config
 
 SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
 EPISODES = 2
@@ -195,6 +200,10 @@ def test_lerobots_environment_is_the_datasets_own(coloured: Path, clouds: list[s
     assert np.abs(load_embodiment(TARGET).home - stored.qpos[0]).max() > 0.3
     assert stored.point_cloud_world is not None
     assert stored.point_cloud_world[0].shape == own["point_cloud"][0].shape == config.features["point_cloud"].shape
+    given = {"observation.point_cloud": torch.from_numpy(own["point_cloud"])}
+    before, _ = make_env_pre_post_processors(config, DP3Config(device="cpu"))  # policies see it as the dataset has it
+    lies = LeRobotDataset("me/own", root).features["observation.point_cloud"]["shape"]
+    assert before(given)["observation.point_cloud"].shape == (1, *lies) == (1, own["point_cloud"][0].size)
     seen = vector.envs[0].get_wrapper_attr("scene")
     for camera, other in zip(seen.cameras, stored.scene.cameras, strict=True):
         np.testing.assert_allclose(camera.T_world_camera, other.T_world_camera)
@@ -216,7 +225,13 @@ def test_bad_datasets_of_lerobots_environment_get_one_line(
         CEIEnvConfig(dataset=str(job / "target"), task=f"StackCube-{TARGET}")
     with pytest.raises(CEIError, match=r"^give --env.dataset, what the policy was trained on, or --env.task="):
         CEIEnvConfig()
-    with pytest.raises(CEIError, match=r"is no dataset of CEI-Gym: meta/cei.json is missing\.$"):
+    with pytest.raises(CEIError, match=r"is no LeRobot dataset: meta/info.json is missing\.$"):
+        CEIEnvConfig(dataset=str(tmp_path))
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta/info.json").write_text('{"features": {"action": {}}}')
+    with pytest.raises(
+        CEIError, match=r"is no dataset of CEI-Gym: meta/cei.json is missing\. If it was edited: cei-restore"
+    ):
         CEIEnvConfig(dataset=str(tmp_path))
     with pytest.raises(CEIError, match=r"^no dataset 'nobody/nothing': .* could not be fetched from the hub"):
         CEIEnvConfig(dataset="nobody/nothing")
@@ -234,14 +249,12 @@ def test_bad_datasets_of_lerobots_environment_get_one_line(
 
 
 def test_stock_lerobot_reads_the_converted_dataset(job: Path) -> None:
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
     dataset = LeRobotDataset("me/target", root=job / "target")
     assert dataset.num_episodes == EPISODES
     assert dataset.meta.robot_type == TARGET
     sample = dataset[len(dataset) - 1]
-    assert sample["observation.point_cloud"].shape == (1024, 3)
-    assert set(dataset.meta.stats) >= {"observation.state", "action", "observation.point_cloud"}
+    assert sample["observation.point_cloud"].shape == (3072,)
+    assert set(dataset.meta.stats) >= {"observation.state", "action"}
 
 
 def test_metadata_and_card_say_how_it_was_made(job: Path) -> None:
@@ -273,6 +286,8 @@ def test_the_environment_starts_where_each_motion_does(job: Path, tmp_path: Path
     found, first = starts(tmp_path / "two")
     np.testing.assert_allclose(found, first, atol=1e-4)
     assert np.abs(found[0] - found[1]).max() > 0.5
+    assert find_starts(tmp_path / "two") == found.tolist()  # where only the frames are left to say so
+    assert find_starts(job / "target") == starts(job / "target")[0].tolist()
 
 
 def test_film_and_contact_sheet_are_there(job: Path) -> None:
@@ -362,10 +377,13 @@ def copy_with_base_shifted(source: Path, target: Path, metres: float) -> None:
     import shutil
 
     shutil.copytree(source, target)
-    path = target / "meta" / "cei.json"
-    metadata = json.loads(path.read_text())
+    metadata = json.loads((target / "meta/cei.json").read_text())
     metadata["scene"]["T_world_base"][0][3] += metres
-    path.write_text(json.dumps(metadata))
+    (target / "meta/cei.json").write_text(json.dumps(metadata))
+    info = json.loads((target / "meta/info.json").read_text())
+    for key in ("observation.state", "action"):
+        info["features"][key]["info"]["cei"]["scene"] = metadata["scene"]
+    (target / "meta/info.json").write_text(json.dumps(info))
 
 
 @pytest.mark.parametrize("end_effector", ["Inspire", "PandaGripper"])

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import older
 import pytest
 
 from cei_converters import convert, record, replay
@@ -325,6 +326,7 @@ def test_a_dataset_without_an_environment_is_refused(
     metadata = json.loads(path.read_text())
     metadata["environment"]["id"] = None
     path.write_text(json.dumps(metadata))
+    older.forget(tmp_path / "source")
     assert converted(tmp_path, tmp_path / "target", "--verify") == 1
     assert f"me/source names no environment that a {TARGET} could be verified in" in capsys.readouterr().err
     assert not (tmp_path / "target").exists()

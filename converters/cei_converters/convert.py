@@ -56,6 +56,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.outcomes import account, residuals
     from cei_converters.conversion.workers import convert_shards, processes_for
     from cei_converters.conversion.workplace import Workplace
+    from cei_converters.dataset.essentials import Remains
+    from cei_converters.dataset.metadata import restore_with
 
     check_json_path(config.json)
     if config.resume and (root := _new_root(config)).exists():
@@ -70,6 +72,11 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         reader = converter.reader
         reader.check_videos(sorted(set(converter.selected)))
         print(_about_cameras(reader, bool(converter.cameras)))
+        if isinstance(reader.metadata, Remains):
+            print(
+                f"{reader.repo_id} was edited by a tool that lost how it came about: its license is not carried over, nor what was "
+                f"known of its episodes. {restore_with(reader.root)}"
+            )
         local = config.executor == "local"
         workers = config.workers or (local and os.cpu_count()) or len(converter.selected)
         if local and processes_for(workers, -(-len(converter.selected) // config.shard_episodes)) > 1:
@@ -237,6 +244,7 @@ def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
         "episodes": config.episodes,
         "check_clouds": config.check_clouds,
         "allow_unreachable": config.allow_unreachable,
+        **({"privileged_state": True} if config.privileged_state else {}),
         **config.gate.bounds,
         "init": config.init,
         "solver": config.solver,

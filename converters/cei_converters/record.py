@@ -31,6 +31,7 @@ class RecordConfig:
     cameras: list[str] | None = None  # Depth cameras, such as [front,left,top]; default: front.
     depth_noise: str | None = None  # What makes depth like a real camera's, such as kinect; default: nothing.
     colours: bool = False  # Pictures beside depth, so that clouds have colours.
+    privileged_state: bool = False  # Let policies see the state of objects, as observation.environment_state.
     teleop: str | None = None  # Demonstrate by hand, with keyboard or spacemouse; default: the scripted expert does.
     push_to_hub: bool = False  # Upload the dataset.
     private: bool = False  # Make the uploaded dataset private.
@@ -51,6 +52,7 @@ def record(config: RecordConfig) -> dict[str, Any]:
     """
     from cei_converters.cli.progress import progress_bar
     from cei_converters.cli.result import check_json_path, write_json
+    from cei_converters.dataset import schema
     from cei_converters.dataset.hub import check_destination, check_repo_id, push
     from cei_converters.dataset.metadata import Environment
     from cei_converters.dataset.provenance import collect
@@ -80,7 +82,13 @@ def record(config: RecordConfig) -> dict[str, Any]:
             episodes = by_hand(env, seeds, teleoperator, config.teleop)
         environment = Environment(config.env, kwargs)
         writer = stack.enter_context(
-            DatasetWriter(config.repo_id, config.root, environment=environment, provenance=collect(config))
+            DatasetWriter(
+                config.repo_id,
+                config.root,
+                environment=environment,
+                provenance=collect(config),
+                state_key=schema.state_key(config.privileged_state),
+            )
         )
         progress = stack.enter_context(progress_bar("episodes"))
         task = progress.add_task("recording", total=config.episodes)

@@ -105,7 +105,7 @@ def _film(
     views, labels = [pictures], [_label(reader, entry)]
     if beside is not None:
         source, stage = beside
-        index = reader.record(entry["episode"]).get("source_episode", entry["episode"])
+        index = reader.source_episode(entry["episode"])
         source_entry, source_pictures = stage.play(source.read(index, clouds=False), filmed=True)
         views.insert(0, source_pictures)
         labels.insert(0, _label(source, source_entry))

@@ -1,7 +1,7 @@
 """Options of the environments, and their vector form."""
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, cast
 
@@ -10,10 +10,14 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs import EnvConfig
+from lerobot.processor import PolicyProcessorPipeline
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE, OBS_STR
 
-from cei_converters.dataset.locate import locate_metadata
-from cei_converters.dataset.metadata import Metadata
+from cei_converters.dataset.essentials import Remains
+from cei_converters.dataset.locate import locate, locate_metadata
+from cei_converters.dataset.metadata import METADATA_PATH, START, Metadata, restore_with
+from cei_converters.dataset.opening import find_metadata, has_flat_clouds
+from cei_converters.dataset.starts import find_starts
 from cei_converters.simulation.environment import check_arguments
 from cei_envs import environment_id, environment_ids
 from cei_envs.environment import CLOUD_POINTS, CEIEnv
@@ -23,6 +27,7 @@ from cei_envs.simulation import CONTROL_HZ
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError, unknown
 from cei_gym.pointcloud import CloudOptions
+from lerobot_env_cei.processors import FlatClouds
 from lerobot_env_cei.workers import quick_start
 
 
@@ -63,7 +68,7 @@ class CEIEnvConfig(EnvConfig):
     )
 
     def __post_init__(self) -> None:
-        recorded = None if self.dataset is None else Metadata.load(locate_metadata(self.dataset))
+        recorded, self._flat_clouds = (None, False) if self.dataset is None else _read(self.dataset)
         self.task = _checked_task(self.task, recorded, self.dataset)
         if recorded is None:
             logging.warning(
@@ -72,7 +77,7 @@ class CEIEnvConfig(EnvConfig):
                 self.task,
             )
         if self.augment is None:
-            self.augment = recorded is None or recorded.provenance.source is not None
+            self.augment = recorded is None or recorded.clouds is not None
         self._recorded = {} if recorded is None else recorded.environment.kwargs
         check_arguments(self.gym_id, self._recorded)
         self._augmentation = self.clouds or _recorded_clouds(recorded)
@@ -116,6 +121,25 @@ class CEIEnvConfig(EnvConfig):
             vector = AsyncVectorEnv(makers, context="forkserver", autoreset_mode=AutoresetMode.NEXT_STEP)
         return {self.type: {0: vector}}
 
+    def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:
+        """The steps between environment and policy, and back: clouds lie as in the dataset, flat or not."""
+        steps = [FlatClouds()] if self._flat_clouds else []
+        return PolicyProcessorPipeline(steps=steps), PolicyProcessorPipeline(steps=[])
+
+
+def _read(dataset: str) -> tuple[Metadata, bool]:
+    """What is known of a dataset, where it starts as its own frames say if it was edited; and whether its clouds are flat."""
+    root = locate_metadata(dataset)
+    metadata = find_metadata(root)
+    if metadata is None:
+        raise CEIError(f"{dataset} is no dataset of CEI-Gym: {METADATA_PATH} is missing. {restore_with(root)}")
+    flat = has_flat_clouds(root)
+    if not isinstance(metadata, Remains) or metadata.clouds is None:
+        return metadata, flat
+    starts = find_starts(root if (root / "data").is_dir() else locate(dataset, None))
+    environment = replace(metadata.environment, kwargs=metadata.environment.kwargs | {START: starts})
+    return replace(metadata, environment=environment), flat
+
 
 def _checked_task(task: str | None, recorded: Metadata | None, dataset: str | None) -> str:
     """`<Task>-<Arm>-<EndEffector>`, as given or as recorded."""
@@ -138,5 +162,4 @@ def _checked_task(task: str | None, recorded: Metadata | None, dataset: str | No
 
 
 def _recorded_clouds(recorded: Metadata | None) -> CloudOptions:
-    options = {} if recorded is None else recorded.provenance.options.get("clouds", {})
-    return draccus.decode(CloudOptions, options)
+    return draccus.decode(CloudOptions, {} if recorded is None else recorded.clouds or {})

@@ -1,20 +1,27 @@
 """3D Diffusion Policy: LeRobot's diffusion over actions, conditioned on point clouds and states."""
 
 from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, cast
 
 import torch
 import torch.nn.functional as F
 from diffusers.schedulers.scheduling_ddim import DDIMScheduler
-from lerobot.policies.diffusion.modeling_diffusion import DiffusionConditionalUnet1d, DiffusionModel
+from lerobot.policies.diffusion.modeling_diffusion import DiffusionModel
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.policies.utils import populate_queues
 from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor, nn
 
 from lerobot_policy_dp3.averaging import averaged
+from lerobot_policy_dp3.clouds import bounds_of
 from lerobot_policy_dp3.configuration_dp3 import DP3Config
 from lerobot_policy_dp3.encoder import ObservationEncoder
+from lerobot_policy_dp3.unet import make_unet
+
+FLAT = 1e-4
+"""A channel that spans less in the data is centred, not stretched, as in DP3."""
 
 
 class DP3Policy(PreTrainedPolicy):
@@ -23,9 +30,29 @@ class DP3Policy(PreTrainedPolicy):
     config_class = DP3Config  # pyright: ignore[reportAssignmentType]
     name = "dp3"  # pyright: ignore[reportAssignmentType]
 
-    def __init__(self, config: DP3Config, **kwargs) -> None:
+    def __init__(
+        self,
+        config: DP3Config,
+        dataset_stats: Mapping[str, Any] | None = None,
+        dataset_meta: Any | None = None,
+        **kwargs,
+    ) -> None:
+        """
+        Args:
+            config: see there; its `cloud_bounds` become those of the dataset, if it is new and has none.
+            dataset_stats: of the dataset that it is to be trained on.
+            dataset_meta: its metadata, a `LeRobotDatasetMetadata`.
+            kwargs: what else LeRobot gives to policies.
+        """
         super().__init__(config)
         config.validate_features()
+        if config.cloud_bounds is None and not config.pretrained_path:
+            root = None if dataset_meta is None else Path(dataset_meta.root)
+            config.cloud_bounds = bounds_of(config.cloud_key, config.cloud_feature.shape[1], dataset_stats, root)
+            if config.cloud_bounds is None and root is not None:
+                raise ValueError(
+                    f"{root} has neither statistics of {config.cloud_key!r} nor tables to make them from; give --policy.cloud_bounds."
+                )
         self.config: DP3Config = config
         self.model = DP3Model(config)
         self.average = averaged(self.model, config.ema_power, config.ema_max_decay)
@@ -70,6 +97,7 @@ class DP3Policy(PreTrainedPolicy):
         # Noise of its own for each step: LeRobot's data loader draws from the global generator too, but not when it resumes.
         random = torch.Generator(batch[ACTION].device)
         random.manual_seed((torch.initial_seed() + int(self.average.n_averaged)) % 2**63)
+        batch = {**batch, self.config.cloud_key: self.model.clouds(batch)}
         return self.model.compute_loss(self._perturbed(batch, random) if self.training else batch, random), None
 
     def _perturbed(self, batch: dict[str, Tensor], random: torch.Generator) -> dict[str, Tensor]:
@@ -96,13 +124,19 @@ class DP3Model(DiffusionModel):
         assert config.robot_state_feature is not None and config.cloud_channels is not None
         self.config = config
         self.obs_encoder = ObservationEncoder(
-            6 if config.use_colours else 3,
+            self._channels,
             config.cloud_channels,
             config.cloud_features,
             config.robot_state_feature.shape[0],
             config.state_channels,
         )
-        self.unet = DiffusionConditionalUnet1d(cast(Any, config), self.obs_encoder.out_features * config.n_obs_steps)
+        self.unet = make_unet(config, self.obs_encoder.out_features * config.n_obs_steps)
+        low, high = torch.tensor(config.cloud_bounds or [[-1.0] * 6, [1.0] * 6])[:, : self._channels]
+        flat = high - low < FLAT
+        scale = torch.where(flat, 1.0, 2 / (high - low))
+        # not in checkpoints, whose configuration has the bounds
+        self.register_buffer("cloud_scale", scale, persistent=False)
+        self.register_buffer("cloud_offset", torch.where(flat, -low, -1 - scale * low), persistent=False)
         self.noise_scheduler = DDIMScheduler(
             num_train_timesteps=config.num_train_timesteps,
             beta_schedule=config.beta_schedule,
@@ -116,7 +150,7 @@ class DP3Model(DiffusionModel):
         """Mean squared error of the denoised actions, or of the noise.
 
         Args:
-            batch: state (B, n_obs_steps, n), cloud (B, n_obs_steps, N, C), actions (B, horizon, n), all normalised.
+            batch: normalised state (B, n_obs_steps, n) and actions (B, horizon, n), cloud (B, n_obs_steps, N, C) as it is.
             random: of the noise; the global generator if None.
         """
         condition, actions = self._prepare_global_conditioning(batch), batch[ACTION]
@@ -127,8 +161,19 @@ class DP3Model(DiffusionModel):
         predicted = self.unet(noisy, steps, global_cond=condition)
         return F.mse_loss(predicted, actions if self.config.prediction_type == "sample" else noise)
 
+    def clouds(self, batch: dict[str, Tensor]) -> Tensor:
+        """(B, n_obs_steps, N, C) those of a batch, which may be flat."""
+        cloud = batch[self.config.cloud_key]
+        return cloud if cloud.ndim == 4 else cloud.unflatten(-1, (-1, self.config.cloud_feature.shape[1]))
+
+    @property
+    def _channels(self) -> int:
+        """Of a point, those that are looked at."""
+        return 6 if self.config.use_colours else 3
+
     def _prepare_global_conditioning(self, batch: dict[str, Tensor]) -> Tensor:
         """(B, n_obs_steps * features)."""
-        state, cloud = batch[OBS_STATE], batch[self.config.cloud_key]
-        cloud = cloud[..., : self.config.points, : 6 if self.config.use_colours else 3]
+        state, cloud = batch[OBS_STATE], self.clouds(batch)
+        cloud = cloud[..., : self.config.points, : self._channels]
+        cloud = cloud * cast(Tensor, self.cloud_scale) + cast(Tensor, self.cloud_offset)
         return self.obs_encoder(cloud.flatten(0, 1), state.flatten(0, 1)).reshape(len(state), -1)

@@ -3,7 +3,8 @@
 from typing import Any
 
 import torch
-from lerobot.processor import PolicyAction, PolicyProcessorPipeline, make_default_pre_post_processors
+from lerobot.processor import PolicyAction, PolicyProcessorPipeline
+from lerobot.processor.factory import make_default_policy_processor_steps, make_policy_processor_pipelines
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_policy_dp3.configuration_dp3 import DP3Config
@@ -14,11 +15,19 @@ def make_dp3_pre_post_processors(
 ) -> tuple[
     PolicyProcessorPipeline[dict[str, Any], dict[str, Any]], PolicyProcessorPipeline[PolicyAction, PolicyAction]
 ]:
-    """The steps before the policy (normalise) and after it (back to rad and m); see `DP3Config.min_range`."""
+    """The steps before the policy (normalise the state) and after it (back to rad and m); see `DP3Config.min_range`.
+
+    Clouds are left to the policy, which knows where their channels lie in a flat one (`DP3Config.cloud_bounds`).
+    """
     stats = dict(dataset_stats or {})
     for key in {OBS_STATE, ACTION} & set(stats):
         stats[key] = _widened(stats[key], config.min_range)
-    return make_default_pre_post_processors(config, stats or None)
+    steps = make_default_policy_processor_steps(config, stats or None)
+    steps.normalize.normalize_observation_keys = {OBS_STATE}
+    return make_policy_processor_pipelines(
+        input_steps=[steps.rename_observations, steps.add_batch_dim, steps.to_device, steps.normalize],
+        output_steps=[steps.unnormalize, steps.to_cpu],
+    )
 
 
 def _widened(stats: dict[str, Any], least: float) -> dict[str, Any]:

@@ -13,7 +13,8 @@ from cei_converters.conversion.shard import Shard
 from cei_converters.conversion.workplace import Workplace
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.license import copy_license_files
-from cei_converters.dataset.metadata import PICTURE_PATH, Environment, Provenance, plain
+from cei_converters.dataset.metadata import PICTURE_PATH, START, Environment, Provenance, plain
+from cei_converters.dataset.starts import middle
 from cei_converters.dataset.writer import DatasetWriter
 from cei_gym.transfer import Transfer
 
@@ -38,6 +39,7 @@ def assemble(place: Workplace, plan: Plan, converter: Converter, told: Account) 
         config.new_repo_id,
         place.root,
         environment=converter.environment,
+        clouds=plain(config.clouds),
         provenance=_with_choices(plan.provenance, converter.transfer, told),
         cameras=converter.cameras,
         partial=place.dataset,
@@ -73,5 +75,5 @@ def _with_start(environment: Environment, starts: dict[int, list[list[float]]]) 
     """The environment with episodes that start where the demonstrations of each mode do: a policy knows no other way."""
     if environment.id is None:
         return environment
-    middles = [np.round(np.median(qpos, axis=0), 4).tolist() for _, qpos in sorted(starts.items())]
-    return replace(environment, kwargs=environment.kwargs | {"start_qpos": middles})
+    middles = [middle(qpos) for _, qpos in sorted(starts.items())]
+    return replace(environment, kwargs=environment.kwargs | {START: middles})

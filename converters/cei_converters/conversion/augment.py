@@ -34,8 +34,8 @@ class AugmentOptions:
         ramp: share of the frames of `ramp_over` after which the hand has gone all of the offset (the paper's 0.8).
         ramp_over: approach (until the hand first takes hold, as objects stand elsewhere from the start; if it never does, the
             whole episode) or episode (the paper, whose demonstrations end at the object).
-        objects: which points are moved: all (that are not the robot's), state (where observation.environment_state says that
-            objects are), box or segmentation (where observation.segmentation.<depth camera> is bright).
+        objects: which points are moved: all (that are not the robot's), state (where the simulator's state of objects
+            says that they are), box or segmentation (where observation.segmentation.<depth camera> is bright).
         box: where objects are at first: x0,y0,z0,x1,y1,z1, m, world; what of it the hand carries is followed.
         half_m: half size of objects whose size the state does not say, m.
     """
@@ -156,7 +156,7 @@ class Augmentation:
         if o.objects == "state":
             if recorded.environment_state is None:
                 raise CEIError(
-                    f"episode {recorded.index} has no observation.environment_state; choose other --augment.objects."
+                    f"episode {recorded.index} has no {schema.PRIVILEGED_STATE}; choose other --augment.objects."
                 )
             return boxes_of_state(recorded.environment_state, recorded.environment_state_names, o.half_m)
         if o.objects == "segmentation":

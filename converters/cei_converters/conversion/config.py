@@ -31,6 +31,7 @@ class ConvertConfig:
     episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
     allow_unreachable: bool = False  # Keep episodes in which the target cannot reach every frame.
+    privileged_state: bool = False  # Let policies see the state of objects, as observation.environment_state.
     min_quality: float | None = None  # Leave out episodes whose quality, from 0 to 1, is lower.
     flag: float | None = None  # Keep episodes whose quality is lower, and mark them.
     push_to_hub: bool = False  # Upload the converted dataset.

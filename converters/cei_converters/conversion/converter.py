@@ -15,9 +15,10 @@ from cei_converters.conversion.in_order import in_order
 from cei_converters.conversion.reach import check_reached
 from cei_converters.conversion.shard import Converted
 from cei_converters.conversion.verify import Verdict, Verifier, open_stage
+from cei_converters.dataset import schema
 from cei_converters.dataset.columns import encode
 from cei_converters.dataset.episodes import encode_episode
-from cei_converters.dataset.metadata import Environment, plain
+from cei_converters.dataset.metadata import START, Environment, plain
 from cei_converters.dataset.writer import Header
 from cei_converters.sources import calibration
 from cei_converters.sources.formats import open_source
@@ -183,11 +184,12 @@ class Converter:
             "mode": mode,
             "start_qpos": moved.qpos[0],
         }
-        header = Header.of(moved)
+        state_key = schema.state_key(config.privileged_state)
+        header = Header.of(moved, state_key)
         kept = not config.dry_run and not outcome["left_out"]
         if kept and not config.allow_unreachable:
             check_reached(config.target, [entry])
-        encoded = encode_episode(encode(moved), header.features, moved.task) if kept else None
+        encoded = encode_episode(encode(moved, state_key), header.features, moved.task) if kept else None
         return Converted(plain(outcome), header, encoded)
 
     def _left_out(self, inside: bool, unreachable: bool, verdict: Verdict | None, fate: str) -> str:
@@ -215,5 +217,5 @@ def _environment(reader: Source, target: str) -> Environment:
     source = reader.embodiment.name
     if known.id is None or not known.id.endswith(source):
         return Environment()
-    kwargs = {name: value for name, value in known.kwargs.items() if name != "start_qpos"}
+    kwargs = {name: value for name, value in known.kwargs.items() if name != START}
     return Environment(known.id.removesuffix(source) + target, kwargs)

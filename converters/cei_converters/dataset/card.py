@@ -32,12 +32,12 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     from huggingface_hub import DatasetCard, DatasetCardData
 
     info, records = json.loads((root / "meta/info.json").read_text()), Records(root)
-    source = metadata.provenance.source
+    sources = _sources(metadata)
     data = DatasetCardData(
-        **{name: getattr(source, name) for name in FIELDS if source is not None},
+        **_license(sources),
         tags=["LeRobot", "cei-gym", "cross-embodiment", metadata.embodiment],
         task_categories=["robotics"],
-        source_datasets=[source.repo_id] if source else None,
+        source_datasets=list(dict.fromkeys(source.repo_id for source in sources)) or None,
         configs=[{"config_name": "default", "data_files": "data/*/*.parquet"}],
     )
     sections = [
@@ -48,22 +48,41 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
         _cameras(metadata, info, records),
         _layout(metadata, info),
         _usage(repo_id, metadata),
-        _provenance(root, metadata),
+        _provenance(root, metadata, records),
         f"## Citation\n\nThe method is that of\n\n```bibtex\n{CITATION}\n```",
     ]
     body = "\n\n".join(section for section in sections if section)
     DatasetCard(f"---\n{data.to_yaml()}\n---\n\n{body}\n").save(root / CARD_PATH)
 
 
+def _sources(metadata: Metadata) -> list[Source]:
+    """What episodes were converted from, each once; none if they were recorded."""
+    sources = [provenance.source for provenance in metadata.provenances]
+    return [source for i, source in enumerate(sources) if source is not None and source not in sources[:i]]
+
+
+def _license(sources: list[Source]) -> dict[str, Any]:
+    """What the card's head says of licenses: the source's as it is; of several that differ, all identifiers."""
+    found = [{name: getattr(source, name) for name in FIELDS} for source in sources]
+    if not found or all(each == found[0] for each in found):
+        return found[0] if found else {}
+    named = [name for source in sources for name in _listed_license(source)]
+    return {"license": list(dict.fromkeys(named)) or None}
+
+
+def _listed_license(source: Source) -> list[str]:
+    return [each for each in (source.license if isinstance(source.license, list) else [source.license]) if each]
+
+
 def _introduction(repo_id: str, metadata: Metadata, info: dict) -> str:
-    source = metadata.provenance.source
+    sources = _sources(metadata)
     size = f"{info['total_episodes']} episodes, {info['total_frames']} frames at {info['fps']} Hz"
-    if source is None:
+    if not sources:
         origin = f"Demonstrations of **{metadata.embodiment}**, recorded in simulation with CEI-Gym: {size}."
     else:
+        named = {f"**{source.embodiment}** (`{source.repo_id}`)": None for source in sources}
         origin = (
-            f"Demonstrations of **{metadata.embodiment}**, converted from **{source.embodiment}** "
-            f"(`{source.repo_id}`) with CEI-Gym: {size}. No {metadata.embodiment} was operated: the joint "
+            f"Demonstrations of **{metadata.embodiment}**, converted from {' and '.join(named)} with CEI-Gym: {size}. No {metadata.embodiment} was operated: the joint "
             "trajectories are those that bring its functional pads where the source robot's were, found by "
             "minimising the Directional Chamfer Distance" + _shown(metadata, info)
         )
@@ -76,7 +95,7 @@ def _shown(metadata: Metadata, info: dict) -> str:
     """The end of a sentence: which robot clouds show."""
     if schema.POINT_CLOUD not in info["features"]:
         return "."
-    if metadata.provenance.options.get("clouds", {}).get("swap", True):
+    if (metadata.clouds or {}).get("swap", True):
         return ", and the point clouds show it in the source's place."
     return ". **The point clouds still show the source robot** (`--clouds.swap=false`)."
 
@@ -116,13 +135,13 @@ def _spread(records: Iterable[Record]) -> list[tuple[str, ...]]:
 
 def _gated(metadata: Metadata, records: Records) -> str:
     """Sentences on what the quality gate did; empty if there was none."""
-    options = metadata.provenance.options
+    options = [provenance.options for provenance in metadata.provenances]
     text = ""
-    if "min_quality" in options:
-        text += f" Episodes below {options['min_quality']:g} are left out ({len(options['gate']['dropped'])})."
-    if "flag" in options:
+    for gated in (each for each in options if "min_quality" in each):
+        text += f" Episodes below {gated['min_quality']:g} are left out ({len(gated['gate']['dropped'])})."
+    for bound in dict.fromkeys(each["flag"] for each in options if "flag" in each):
         flagged = [str(index) for index, record in enumerate(records) if record.get("flagged")]
-        text += f" Those below {options['flag']:g} are `flagged` in `{RECORDS_PATH}`: {', '.join(flagged) or 'none'}."
+        text += f" Those below {bound:g} are `flagged` in `{RECORDS_PATH}`: {', '.join(flagged) or 'none'}."
     return text
 
 
@@ -144,7 +163,8 @@ def _verified(metadata: Metadata, records: Records) -> str:
     kept = Counter(verdict["how"] if verdict["success"] else "fails" for verdict in verdicts)
     if not kept:
         return ""
-    dropped = metadata.provenance.options["verify"]["dropped"]
+    verified = (provenance.options.get("verify", {}) for provenance in metadata.provenances)
+    dropped = [index for each in verified for index in each.get("dropped", [])]
     n = kept.total() + len(dropped)
     text = (
         f"## Verified in simulation\n\nEpisodes were replayed in `{metadata.environment.id}` as they were converted. The "
@@ -159,21 +179,23 @@ def _verified(metadata: Metadata, records: Records) -> str:
 
 def _cameras(metadata: Metadata, info: dict, records: Records) -> str:
     """What the source's cameras became; empty for a recorded dataset."""
-    source = metadata.provenance.source
-    if source is None:
+    sources = _sources(metadata)
+    if not sources:
         return ""
+    seen = dict.fromkeys(camera for source in sources for camera in source.depth_cameras)
     if schema.POINT_CLOUD not in info["features"]:
         text = "There are no point clouds: the source has no depth, so it was converted in joints."
-    elif source.depth_cameras:
-        text = f"Point clouds were made from the depth of {_listed(source.depth_cameras)}."
+    elif seen:
+        text = f"Point clouds were made from the depth of {_listed(seen)}."
     else:
         text = "Point clouds were made from the source's."
     dtypes = {key: feature["dtype"] for key, feature in info["features"].items()}
     pictures = [key for key, dtype in dtypes.items() if dtype in ("image", "video")]
     if pictures:
+        shown = " or ".join(dict.fromkeys(source.embodiment for source in sources))
         text += (
             f" Pictures of {_listed(pictures)} are the source's, passed through untouched: **they still show "
-            f"{source.embodiment}, not {metadata.embodiment}**."
+            f"{shown}, not {metadata.embodiment}**."
         )
     stretched = sum("source_frames" in record for record in records)
     if stretched and "video" in dtypes.values():
@@ -189,16 +211,15 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _layout(metadata: Metadata, info: dict) -> str:
-    features = [
-        (
-            f"`{key}`",
-            feature["dtype"],
-            "x".join(map(str, feature["shape"])),
-            ", ".join(map(str, feature["names"])),
-        )
-        for key, feature in info["features"].items()
-        if feature.get("names")
-    ]
+    features = []
+    for key, feature in info["features"].items():
+        shape, names, more = feature["shape"], feature.get("names"), ""
+        if key == schema.POINT_CLOUD:
+            shape, names = schema.cloud_shape(feature, key), names or feature["info"]["columns"]
+            more = " of each point; stored flat" if len(feature["shape"]) == 1 else ""
+        if names:
+            entries = ", ".join(map(str, names)) + more
+            features.append((f"`{key}`", feature["dtype"], "x".join(map(str, shape)), entries))
     cameras = [
         (camera.name, f"{camera.width}x{camera.height}", np.round(np.diag(camera.K)[:2], 2).tolist())
         for camera in metadata.scene.cameras
@@ -208,7 +229,23 @@ def _layout(metadata: Metadata, info: dict) -> str:
     if cameras:
         parts.append(_table(("camera", "pixels", "focal length (px)"), cameras))
     parts.append(f"Poses, intrinsics and workspace are in `{METADATA_PATH}`.")
+    parts.append(_read_by_policies(info))
     return "\n\n".join(parts)
+
+
+def _read_by_policies(info: dict) -> str:
+    """What policies are given, in words."""
+    text = "Policies are given what begins with `observation`."
+    if schema.PRIVILEGED_STATE in info["features"]:
+        text += (
+            f" `{schema.PRIVILEGED_STATE}`, the simulator's state of objects, is for replaying: no policy is given it."
+        )
+    if schema.ENVIRONMENT_STATE in info["features"]:
+        text += (
+            f" **`{schema.ENVIRONMENT_STATE}` is the simulator's state of objects: LeRobot's ACT and Diffusion take it by "
+            "themselves, though no camera shows it.**"
+        )
+    return text
 
 
 def _usage(repo_id: str, metadata: Metadata) -> str:
@@ -226,26 +263,34 @@ lerobot-train --dataset.repo_id={repo_id} --policy.type=<policy> --output_dir=ou
 ```{replay}"""
 
 
-def _provenance(root: Path, metadata: Metadata) -> str:
-    provenance = metadata.provenance
+def _provenance(root: Path, metadata: Metadata, records: Records) -> str:
     parts = ["## How it was made"]
-    if provenance.command:
-        parts.append(f"```bash\n{provenance.command}\n```")
-    rows: list[tuple[Any, ...]] = [("date", provenance.date)] if provenance.date else []
-    if provenance.git_commit:
-        rows.append(("commit of CEI-Gym", provenance.git_commit))
-    rows += _source_rows(provenance.source, [path.name for path in license_files(root)])
-    rows += [(f"version of {name}", value) for name, value in provenance.versions.items()]
-    rows += [(f"`--{name}`", f"`{value}`") for name, value in _flat(provenance.options)]
-    parts.append(_table(("", ""), rows))
+    if edited := [str(record["restored_from"]["repo_id"]) for record in records if "restored_from" in record]:
+        counts = ", ".join(f"{n} of `{name}`" for name, n in Counter(edited).items())
+        parts.append(
+            f"With other tools, after what is said below: these are {counts}. Which is which is in `{RECORDS_PATH}`, under "
+            "`restored_from`."
+        )
+    files = [path.name for path in license_files(root)]
+    for number, provenance in enumerate(metadata.provenances):
+        if metadata.merged:
+            parts.append(f"### Part {number} (`provenance` in `{RECORDS_PATH}`)")
+        if provenance.command:
+            parts.append(f"```bash\n{provenance.command}\n```")
+        rows: list[tuple[Any, ...]] = [("date", provenance.date)] if provenance.date else []
+        if provenance.git_commit:
+            rows.append(("commit of CEI-Gym", provenance.git_commit))
+        rows += _source_rows(provenance.source, files)
+        rows += [(f"version of {name}", value) for name, value in provenance.versions.items()]
+        rows += [(f"`--{name}`", f"`{value}`") for name, value in _flat(provenance.options)]
+        parts.append(_table(("", ""), rows))
     return "\n\n".join(parts)
 
 
 def _source_rows(source: Source | None, files: list[str]) -> list[tuple[Any, ...]]:
     if source is None:
         return []
-    licenses = source.license if isinstance(source.license, list) else [source.license]
-    named = [each for each in (*licenses, source.license_name, source.license_link, *files) if each]
+    named = [*_listed_license(source), *filter(None, (source.license_name, source.license_link)), *files]
     rows = [
         ("source", source.repo_id),
         ("source revision", source.revision),

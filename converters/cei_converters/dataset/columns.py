@@ -16,20 +16,21 @@ from cei_gym.errors import CEIError, one_line
 MAX_DEPTH_MM = np.iinfo(np.uint16).max
 
 
-def encode(demonstration: Demonstration) -> dict[str, np.ndarray]:
-    """Feature key to (T, ...) values in the stored type and unit."""
+def encode(demonstration: Demonstration, state_key: str = schema.PRIVILEGED_STATE) -> dict[str, np.ndarray]:
+    """Feature key to (T, ...) values in the stored type and unit; the state of objects goes under `state_key`."""
     columns = {
         schema.STATE: demonstration.qpos.astype(np.float32),
         schema.ACTION: demonstration.action.astype(np.float32),
     }
     if demonstration.point_cloud_world is not None:
-        columns[schema.POINT_CLOUD] = demonstration.point_cloud_world.astype(np.float32)
+        clouds = demonstration.point_cloud_world.astype(np.float32)
+        columns[schema.POINT_CLOUD] = clouds.reshape(len(clouds), -1)
     for camera, depth_m in demonstration.depth_m.items():
         columns[schema.depth_key(camera)] = _depth_to_mm(depth_m)
     for camera, pictures in demonstration.rgb.items():
         columns[schema.RGB_PREFIX + camera] = pictures
     if demonstration.environment_state is not None:
-        columns[schema.ENVIRONMENT_STATE] = demonstration.environment_state.astype(np.float32)
+        columns[state_key] = demonstration.environment_state.astype(np.float32)
     return columns
 
 

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.schema import POINT_CLOUD
 from cei_converters.dataset.video_files import VideoFiles
 
 _MB = 1024**2
@@ -27,7 +28,7 @@ class EncodedEpisode:
     Attributes:
         table: a column each feature, but for those that say where in the dataset frames are, and for pictures that pass
             through.
-        statistics: feature key to LeRobot's statistics.
+        statistics: feature key to LeRobot's statistics, but for clouds.
         task: what it shows, in words.
     """
 
@@ -38,6 +39,8 @@ class EncodedEpisode:
 
 def encode_episode(columns: Mapping[str, np.ndarray], features: Mapping[str, dict], task: str) -> EncodedEpisode:
     """Values as a dataset stores them.
+
+    Clouds get no statistics: those of the 3072 entries of a flat one say nothing, and LeRobot would keep 220 kB of them an episode.
 
     Args:
         columns: feature key to (T, ...) values of the feature's type; images as (T, H, W, 1 or 3).
@@ -50,7 +53,7 @@ def encode_episode(columns: Mapping[str, np.ndarray], features: Mapping[str, dic
     hf_features = get_hf_features_from_features(own)
     schema: pa.Schema = hf_features.arrow_schema
     arrays = [_arrow(columns[key], own[key], hf_features[key]) for key in schema.names]
-    statistics = {key: _statistics(columns[key], own[key]) for key in schema.names}
+    statistics = {key: _statistics(columns[key], own[key]) for key in schema.names if key != POINT_CLOUD}
     return EncodedEpisode(pa.Table.from_arrays(arrays, schema=schema), statistics, task)
 
 

@@ -44,17 +44,16 @@ def check_info(info: Mapping[str, Any], where: str) -> None:
         raise CEIError(f"{where}: features should map the name of each to its dtype, shape and names.")
     for key, feature in features.items():
         _check_feature(feature, f"{where}: feature {key!r}")
-    for key in (schema.STATE, schema.ACTION, schema.ENVIRONMENT_STATE, schema.POINT_CLOUD):
+    for key in (schema.STATE, schema.ACTION, *schema.STATES_OF_OBJECTS, schema.POINT_CLOUD):
         feature = features.get(key)
         if feature is None:
             continue
         if not feature["dtype"].startswith(("float", "int", "uint")):
             raise CEIError(f"{where}: {key} is stored as {feature['dtype']!r}; it should be float32.")
-        columns = feature["shape"][-1:]
-        if key == schema.POINT_CLOUD and (len(feature["shape"]) != 2 or columns[0] not in (3, 6)):
-            raise CEIError(f"{where}: {key} has shape {feature['shape']}; it should be [points, 3], or 6 with colours.")
+        if key == schema.POINT_CLOUD:
+            schema.cloud_shape(feature, f"{where}: {key}")
         names = schema.feature_names(feature)
-        if key == schema.ENVIRONMENT_STATE and names and [len(names)] != feature["shape"]:
+        if key in schema.STATES_OF_OBJECTS and names and [len(names)] != feature["shape"]:
             raise CEIError(f"{where}: {key} has shape {feature['shape']}; it should be as long as its names.")
 
 

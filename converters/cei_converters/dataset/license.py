@@ -1,6 +1,7 @@
 """Licenses: carried over from a dataset to what is made of it, as they are; never invented."""
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,25 @@ def copy_license_files(root: Path, to: Path) -> None:
     """Copy them beside what was made of the dataset."""
     for path in license_files(root):
         shutil.copyfile(path, to / path.name)
+
+
+def merge_license_files(parts: Sequence[tuple[str, Path]], to: Path) -> None:
+    """Copy those of several datasets beside what was put together of them; texts that differ stand one after the other.
+
+    Args:
+        parts: name and folder of each dataset.
+        to: folder for the files.
+    """
+    texts: dict[str, dict[bytes, str]] = {}
+    for name, root in parts:
+        for path in license_files(root):
+            texts.setdefault(path.name, {}).setdefault(path.read_bytes(), name)
+    for file, found in texts.items():
+        if len(found) == 1:
+            (to / file).write_bytes(*found)
+        else:
+            whole = (f"==== {name} ====\n\n".encode() + text.rstrip() + b"\n" for text, name in found.items())
+            (to / file).write_bytes(b"\n".join(whole))
 
 
 def own_file(root: Path, path: Path) -> bool:

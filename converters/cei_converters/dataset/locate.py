@@ -1,5 +1,6 @@
 """Find a dataset's folder and check its version, before anything heavy is imported."""
 
+import contextlib
 from pathlib import Path
 
 from cei_converters.dataset.hub import check_repo_id
@@ -29,7 +30,8 @@ def locate(repo_id: str, root: str | Path | None, revision: str | None = None) -
 
 
 def locate_metadata(dataset: str) -> Path:
-    """Folder with a dataset's `meta/cei.json`, given the dataset's folder or its repo id; nothing else is downloaded.
+    """Folder with what describes a dataset (`meta/info.json`, and `meta/cei.json` if it has one), given its folder or its repo id;
+    nothing else is downloaded.
 
     Raises:
         CEIError: there is none.
@@ -37,18 +39,22 @@ def locate_metadata(dataset: str) -> Path:
     from lerobot.utils.constants import HF_LEROBOT_HOME
 
     for folder in (Path(dataset), HF_LEROBOT_HOME / dataset):
-        if (folder / METADATA_PATH).is_file():
+        if any((folder / path).is_file() for path in (INFO_PATH, METADATA_PATH)):
             return folder
     if Path(dataset).exists():
-        raise CEIError(f"{dataset} is no dataset of CEI-Gym: {METADATA_PATH} is missing.")
+        raise CEIError(f"{dataset} is no LeRobot dataset: {INFO_PATH} is missing.")
     check_repo_id(dataset)
     from huggingface_hub import hf_hub_download
+    from huggingface_hub.errors import EntryNotFoundError
 
     try:
-        return Path(hf_hub_download(dataset, METADATA_PATH, repo_type="dataset")).parents[1]
+        info = hf_hub_download(dataset, INFO_PATH, repo_type="dataset")
+        with contextlib.suppress(EntryNotFoundError):  # an edited dataset has none
+            hf_hub_download(dataset, METADATA_PATH, repo_type="dataset")
+        return Path(info).parents[1]
     except Exception as error:  # network, authorisation, unknown names: the hub's client has no common class
         raise CEIError(
-            f"no dataset {dataset!r}: it is no folder, not in {HF_LEROBOT_HOME}, and {METADATA_PATH} could not be fetched "
+            f"no dataset {dataset!r}: it is no folder, not in {HF_LEROBOT_HOME}, and {INFO_PATH} could not be fetched "
             f"from the hub ({one_line(error)})."
         ) from error
 

@@ -1,12 +1,13 @@
-"""`meta/cei.json`: what LeRobot's format has no home for (scene, environment, provenance). Its neighbour: `records`."""
+"""`meta/cei.json`: what LeRobot's format has no home for (scene, environment, provenance). Its neighbours: `records`, and
+`essentials`, what of it LeRobot's own tools carry along."""
 
 import dataclasses
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import draccus
 import numpy as np
@@ -16,17 +17,23 @@ from cei_gym.demonstration import Scene
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json
 
-FORMAT_VERSION = "1.1"
+FORMAT_VERSION = "2.0"
+READABLE = ("1", "2")
+"""Major versions that are read."""
 METADATA_PATH = "meta/cei.json"
 PICTURE_PATH = "meta/quality.png"
 RECORDS_OF_1_0 = "episodes"
 """Where format 1.0 has what `records` has now."""
+_MAY_BE_NULL = ("clouds", "total_episodes")
 REQUIRED = "embodiment, scene.T_world_base, scene.cameras (name, width, height, K, T_world_camera)"
+START = "start_qpos"
+"""Argument of environments: where the dataset's own demonstrations start."""
 CONVENTIONS = {
     "world": "right-handed, z up, metres",
     "camera": "OpenCV axes: x right, y down, z forward; T_world_camera maps camera to world",
     "joints": "observation.state: positions; action: absolute position targets; arm then end-effector",
-    "point_cloud": "world frame, metres, cropped to scene.workspace_world",
+    "point_cloud": "world frame, metres, cropped to scene.workspace_world; flat, its shape is in info.shape of its feature",
+    "environment_state": "what the simulator knows of objects; under privileged.* no policy looks at it",
     "depth": "along the optical axis, 0 where unknown",
 }
 
@@ -69,14 +76,47 @@ class Provenance:
 
 @dataclass(frozen=True)
 class Metadata:
-    """Contents of `meta/cei.json`."""
+    """Contents of `meta/cei.json`.
+
+    Attributes:
+        embodiment: whose demonstrations they are.
+        scene: base pose, cameras, workspace.
+        environment: what they replay in.
+        clouds: options of `cei-convert`'s clouds; None where they are the cameras' own.
+        total_episodes: of the dataset that this was written for; None where it does not say.
+        provenance: how they came about.
+        merged: how others came about that were put together with them; of which an episode is, its record says (`provenance`).
+        conventions: frames and units, in words.
+        format_version: of all this.
+    """
 
     embodiment: str
     scene: Scene
     environment: Environment = field(default_factory=Environment)
+    clouds: dict[str, Any] | None = None
+    total_episodes: int | None = None
     provenance: Provenance = field(default_factory=Provenance)
+    merged: tuple[Provenance, ...] = ()
     conventions: dict[str, str] = field(default_factory=lambda: dict(CONVENTIONS))
     format_version: str = FORMAT_VERSION
+
+    @property
+    def provenances(self) -> tuple[Provenance, ...]:
+        """How they came about, in all."""
+        return self.provenance, *self.merged
+
+    def provenance_of(self, record: Mapping[str, Any], where: str) -> Provenance:
+        """How an episode came about, by its record.
+
+        Raises:
+            CEIError: the record names none.
+        """
+        which = record.get("provenance", 0)
+        if which not in range(len(self.provenances)):
+            raise CEIError(
+                f"{where}: its provenance should be 0 to {len(self.provenances) - 1}, not {one_line(which, 60)}."
+            )
+        return self.provenances[which]
 
     def save(self, root: Path) -> None:
         """Write to a dataset's folder."""
@@ -85,7 +125,7 @@ class Metadata:
         path.write_text(json.dumps(plain(self), indent=1, allow_nan=False) + "\n")
 
     @classmethod
-    def load(cls, root: Path) -> "Metadata":
+    def load(cls, root: Path) -> Self:
         """Read from a dataset's folder.
 
         Raises:
@@ -99,21 +139,42 @@ class Metadata:
             raise CEIError(f"{where} is missing; it needs {REQUIRED}.") from error
         except (ValueError, OSError) as error:
             raise CEIError(f"{where} cannot be read: {error}; it should be a JSON object.") from error
+        return cls.decode(raw, where)
+
+    @classmethod
+    def decode(cls, raw: object, where: str) -> Self:
+        """From JSON types, which may be a stranger's.
+
+        Raises:
+            CEIError: they are of another version, or a field is missing or wrong.
+        """
         if not isinstance(raw, dict):
             raise CEIError(f"{where} should be a JSON object with {REQUIRED}.")
         version = str(raw.get("format_version"))
-        if version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
+        if version.split(".")[0] not in READABLE:
             raise CEIError(f"{where}: format_version is {version}, this program reads {FORMAT_VERSION}.")
-        raw.pop(RECORDS_OF_1_0, None)
+        raw = {key: value for key, value in raw.items() if key != RECORDS_OF_1_0}
         try:
             metadata = draccus.decode(cls, raw)
         except DraccusException as error:
             raise CEIError(f"{where}: {one_line(error)}; needed: {REQUIRED}.") from error
-        empty = [name for name, value in _values(metadata.scene, "scene") if value is None]
-        if metadata.embodiment is None or empty:  # draccus takes null for anything
-            raise CEIError(f"{where}: {[*empty, 'embodiment'][0]} is null; needed: {REQUIRED}.")
+        parts = [(f.name, getattr(metadata, f.name)) for f in dataclasses.fields(cls) if f.name not in _MAY_BE_NULL]
+        parts += [
+            *_values(metadata.scene, "scene"),
+            ("environment.kwargs", getattr(metadata.environment, "kwargs", None)),
+        ]
+        empty = [name for name, value in parts if value is None]
+        if empty:  # draccus takes null for anything
+            raise CEIError(f"{where}: {empty[0]} is null; needed: {REQUIRED}.")
         check_scene(metadata.scene, f"{where}: scene")
+        if version.startswith("1.") and metadata.provenance.source is not None:  # where the options were
+            return dataclasses.replace(metadata, clouds=metadata.provenance.options.get("clouds", {}))
         return metadata
+
+
+def restore_with(root: Path) -> str:
+    """A sentence: what gives an edited dataset back what it has lost."""
+    return f"If it was edited: cei-restore --dataset.root={root} --original=<what it was made from>."
 
 
 def _values(value: Any, name: str) -> Iterator[tuple[str, Any]]:

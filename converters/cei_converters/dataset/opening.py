@@ -3,28 +3,61 @@
 from pathlib import Path
 from typing import Any
 
+from cei_converters.dataset import schema
+from cei_converters.dataset.essentials import difference, find_essentials
 from cei_converters.dataset.info import check_episodes, check_info
 from cei_converters.dataset.locate import INFO_PATH, read_info
-from cei_converters.dataset.metadata import METADATA_PATH, REQUIRED, Metadata
+from cei_converters.dataset.metadata import METADATA_PATH, REQUIRED, Metadata, restore_with
 from cei_gym.embodiment import Embodiment, embodiment_names, load_embodiment
 from cei_gym.errors import CEIError, one_line, unknown
 
 
+def find_metadata(root: Path) -> Metadata | None:
+    """What a dataset's folder says of it: `meta/cei.json`, else what LeRobot's tools have left (`essentials`); None if it says nothing.
+
+    Raises:
+        CEIError: what it says is wrong, or contradicts itself.
+    """
+    info = read_info(root) if (root / INFO_PATH).is_file() else {}
+    carried = find_essentials(info.get("features"), f"{root.name}/{INFO_PATH}")
+    if not (root / METADATA_PATH).is_file():
+        return carried
+    metadata = Metadata.load(root)
+    if carried is not None and (differing := difference(carried, metadata)):
+        raise CEIError(
+            f"{root}: {METADATA_PATH} and {INFO_PATH} disagree about {differing}; remove the former if it is another dataset's. "
+            f"{restore_with(root)}"
+        )
+    written_for, total = metadata.total_episodes, info.get("total_episodes")
+    if carried is None or written_for in (None, total):
+        return metadata
+    print(f"{METADATA_PATH} of {root} is of {written_for} episodes, not of its {total}: ignored. {restore_with(root)}")
+    return carried
+
+
 def load_metadata(root: Path, embodiment: str | None) -> Metadata | None:
-    """`meta/cei.json`; None if it is missing and an embodiment is given instead.
+    """What a dataset's folder says of it; None if it says nothing and an embodiment is given instead.
 
     Raises:
         CEIError: it is wrong, or missing and not replaced.
     """
-    if (root / METADATA_PATH).is_file():
-        return Metadata.load(root)
-    if embodiment is None:
+    metadata = find_metadata(root)
+    if metadata is None and embodiment is None:
         raise CEIError(
             f"{root} has no {METADATA_PATH}; it needs {REQUIRED}. "
             f"Without it, name the robot with --source=<one of {', '.join(embodiment_names())}>, and calibrate depth "
             "cameras, if there are any, with --calibration=FILE.yaml."
+            + (f" {restore_with(root)}" if read_info(root).get("robot_type") in embodiment_names() else "")
         )
-    return None
+    return metadata
+
+
+def has_flat_clouds(root: Path) -> bool:
+    """Whether a dataset, by its `meta/info.json`, has clouds that are flat; it is looked at closer where it is read."""
+    features = read_info(root).get("features") if (root / INFO_PATH).is_file() else None
+    cloud = features.get(schema.POINT_CLOUD) if isinstance(features, dict) else None
+    shape = cloud.get("shape") if isinstance(cloud, dict) else None
+    return isinstance(shape, list) and len(shape) == 1
 
 
 def choose_embodiment(root: Path, metadata: Metadata | None, given: str | None) -> Embodiment:

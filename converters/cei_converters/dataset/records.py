@@ -5,11 +5,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self, overload
 
-from cei_converters.dataset.metadata import METADATA_PATH, RECORDS_OF_1_0, plain
+from cei_converters.dataset.metadata import METADATA_PATH, RECORDS_OF_1_0, plain, restore_with
 from cei_gym.errors import CEIError
 from cei_gym.untrusted import load_json
 
 RECORDS_PATH = "meta/cei_episodes.jsonl"
+ROWS = "rows"
+"""Field of a record: which episode it is of, by a digest of its joints (`identity`)."""
 
 Record = dict[str, Any]
 """Free-form JSON types by name."""
@@ -70,18 +72,25 @@ class Records(Sequence[Record]):
         return record
 
 
-def load_records(root: Path) -> Sequence[Record]:
-    """Those of a dataset, of format 1.0 too, which has them in `meta/cei.json`.
+def load_records(root: Path, total_episodes: int) -> Sequence[Record]:
+    """Those of a dataset, of format 1.0 too, which has them in `meta/cei.json`; none, and a line that says so, where they are not
+    as many as its episodes.
 
     Raises:
         CEIError: as `Records`.
     """
     if (root / RECORDS_PATH).exists() or not (root / METADATA_PATH).is_file():
-        return Records(root)
-    older = load_json((root / METADATA_PATH).read_text()).get(RECORDS_OF_1_0, [])
-    if not isinstance(older, list) or not all(isinstance(record, dict) for record in older):
-        raise CEIError(f"{root / METADATA_PATH}: {RECORDS_OF_1_0} should be JSON objects.")
-    return older
+        found: Sequence[Record] = Records(root)
+    else:
+        found = load_json((root / METADATA_PATH).read_text()).get(RECORDS_OF_1_0, [])
+        if not isinstance(found, list) or not all(isinstance(record, dict) for record in found):
+            raise CEIError(f"{root / METADATA_PATH}: {RECORDS_OF_1_0} should be JSON objects.")
+    if len(found) in (0, total_episodes):
+        return found
+    print(
+        f"{RECORDS_PATH} of {root} is of {len(found)} episodes, not of its {total_episodes}: ignored. {restore_with(root)}"
+    )
+    return ()
 
 
 class RecordWriter:

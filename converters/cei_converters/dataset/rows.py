@@ -27,13 +27,25 @@ def read_rows(path: Path, episode: int, columns: Sequence[str] | None = None) ->
         KeyError: it does not say which rows are whose.
     """
     status = path.stat()
-    footer, first, last = _row_groups(path, status.st_size, status.st_mtime_ns)
+    _, first, last = _row_groups(path, status.st_size, status.st_mtime_ns)
     groups = np.flatnonzero((first <= episode) & (episode <= last)).tolist()
-    wanted = None if columns is None else [*dict.fromkeys([*columns, EPISODE])]
-    with pq.ParquetFile(path, metadata=footer) as file:
-        table = file.read_row_groups(groups, columns=wanted)
+    wanted = None if columns is None else (*dict.fromkeys([*columns, EPISODE]),)
+    read = _read_shared if (first[groups] < last[groups]).any() else _read
+    table = read(path, status.st_mtime_ns, tuple(groups), wanted)
     table = table.filter(pc.field(EPISODE) == episode)
     return table if columns is None else table.select([name for name in columns if name in table.column_names])
+
+
+def _read(path: Path, _changed_ns: int, groups: tuple[int, ...], columns: tuple[str, ...] | None) -> pa.Table:
+    footer, *_ = _row_groups(path, path.stat().st_size, _changed_ns)
+    with pq.ParquetFile(path, metadata=footer) as file:
+        return file.read_row_groups([*groups], columns=columns and [*columns])
+
+
+@lru_cache(maxsize=4)  # different columns of a file, which LeRobot keeps to 100 MB
+def _read_shared(path: Path, changed_ns: int, groups: tuple[int, ...], columns: tuple[str, ...] | None) -> pa.Table:
+    """Row groups of several episodes, as LeRobot's tools write them, are read once, not for each episode."""
+    return _read(path, changed_ns, groups, columns)
 
 
 @lru_cache(maxsize=2)

@@ -1,22 +1,33 @@
 """Names, shapes and units of the features of our LeRobot v3.0 datasets."""
 
+import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
 
 STATE = "observation.state"
 ACTION = "action"
 # a key that contains "image" trips LeRobot's check of image statistics
 POINT_CLOUD = "observation.point_cloud"
+PRIVILEGED_STATE = "privileged.environment_state"
+"""What a simulator knows of its objects, where no policy looks: LeRobot's take what begins with `observation`."""
 ENVIRONMENT_STATE = "observation.environment_state"
+"""The same where LeRobot's policies take it by themselves: in datasets of format 1.0 and 1.1, and where it is asked for."""
+STATES_OF_OBJECTS = (PRIVILEGED_STATE, ENVIRONMENT_STATE)
 DEPTH_PREFIX = "observation.depth."
 RGB_PREFIX = "observation.images."
 SEGMENTATION_PREFIX = "observation.segmentation."
 """Pictures, named after depth cameras and as large, that are bright where objects are."""
 
 UNITS = ("rad", "m")
+
+
+def state_key(privileged: bool) -> str:
+    """Where the state of objects goes: with `privileged`, to where LeRobot's policies take it."""
+    return ENVIRONMENT_STATE if privileged else PRIVILEGED_STATE
 
 
 def joint_feature_name(joint: str, unit: str) -> str:
@@ -85,17 +96,48 @@ def feature_names(feature: Mapping[str, object]) -> list[str]:
     return [str(name) for name in (names if isinstance(names, (list, tuple)) else [names])]
 
 
-def features(embodiment: Embodiment, demonstration: Demonstration) -> dict[str, dict]:
-    """LeRobot features for demonstrations that carry the same observations as the given one."""
+def cloud_feature(points: int, columns: int) -> dict:
+    """LeRobot's feature of point clouds: flat, since its tools fail on arrays of two dimensions, and `info` says their layout."""
+    names = ["x_m", "y_m", "z_m", *["r", "g", "b"][: columns - 3]]
+    layout = {"shape": [points, columns], "columns": names, "frame": "world"}
+    return {"dtype": "float32", "shape": (points * columns,), "names": None, "info": layout}
+
+
+def cloud_shape(feature: Mapping[str, Any], where: str) -> tuple[int, int]:
+    """Points and columns (3, or 6 with colours) of a feature of point clouds, flat or, as in formats 1.0 and 1.1, not.
+
+    Raises:
+        CEIError: it does not say them.
+    """
+    shape = layout = [*feature["shape"]]
+    if len(shape) == 1:
+        layout = (feature.get("info") or {}).get("shape")
+    sides = layout if isinstance(layout, list) and all(type(side) is int and side > 0 for side in layout) else []
+    if len(sides) != 2 or sides[1] not in (3, 6) or math.prod(sides) != math.prod(shape):
+        raise CEIError(
+            f"{where} has shape {one_line(shape, 60)}{f' and info.shape {one_line(layout, 60)}' * (len(shape) == 1)}; it should "
+            "be [points, 3], or 6 with colours, or flat with that in its info.shape."
+        )
+    return sides[0], sides[1]
+
+
+def features(
+    embodiment: Embodiment, demonstration: Demonstration, state_key: str = PRIVILEGED_STATE
+) -> dict[str, dict]:
+    """LeRobot features for demonstrations that carry the same observations as the given one.
+
+    Args:
+        embodiment: whose joints they have.
+        demonstration: what they carry.
+        state_key: where the state of objects goes, `PRIVILEGED_STATE` or `ENVIRONMENT_STATE`.
+    """
     joints = {"dtype": "float32", "shape": (len(embodiment.joint_names),)}
     result: dict[str, dict] = {
         STATE: {**joints, "names": joint_feature_names(embodiment)},
         ACTION: {**joints, "names": joint_feature_names(embodiment)},
     }
     if demonstration.point_cloud_world is not None:
-        points, columns = demonstration.point_cloud_world.shape[1:]
-        names = ["point", "xyz_m" if columns == 3 else "xyz_m_rgb"]
-        result[POINT_CLOUD] = {"dtype": "float32", "shape": (points, columns), "names": names}
+        result[POINT_CLOUD] = cloud_feature(*demonstration.point_cloud_world.shape[1:])
     for camera, depth_m in demonstration.depth_m.items():
         result[depth_key(camera)] = {
             "dtype": "image",  # lossless; LeRobot's depth video rounds to 12 bits
@@ -111,5 +153,5 @@ def features(embodiment: Embodiment, demonstration: Demonstration) -> dict[str, 
         }
     if demonstration.environment_state is not None:
         names = list(demonstration.environment_state_names)
-        result[ENVIRONMENT_STATE] = {"dtype": "float32", "shape": (len(names),), "names": names}
+        result[state_key] = {"dtype": "float32", "shape": (len(names),), "names": names}
     return result

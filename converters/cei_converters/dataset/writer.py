@@ -16,8 +16,10 @@ from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.card import write_card
 from cei_converters.dataset.columns import encode
 from cei_converters.dataset.episodes import EncodedEpisode, EpisodeWriter, encode_episode
+from cei_converters.dataset.essentials import with_essentials
+from cei_converters.dataset.identity import digest
 from cei_converters.dataset.metadata import Environment, Metadata, Provenance, check_scene
-from cei_converters.dataset.records import RecordWriter
+from cei_converters.dataset.records import ROWS, RecordWriter
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
@@ -38,7 +40,7 @@ class Header:
         embodiment: whose they are.
         fps: frames a second.
         scene: base pose, cameras, workspace.
-        features: LeRobot's, without those of passed-through cameras.
+        features: LeRobot's, without those of passed-through cameras and without what they carry (`essentials`).
     """
 
     embodiment: str
@@ -47,9 +49,9 @@ class Header:
     features: dict[str, dict]
 
     @classmethod
-    def of(cls, demonstration: Demonstration) -> Self:
-        """That of a dataset with this demonstration."""
-        features = schema.features(load_embodiment(demonstration.embodiment), demonstration)
+    def of(cls, demonstration: Demonstration, state_key: str = schema.PRIVILEGED_STATE) -> Self:
+        """That of a dataset with this demonstration, the state of its objects under `state_key`."""
+        features = schema.features(load_embodiment(demonstration.embodiment), demonstration, state_key)
         return cls(demonstration.embodiment, demonstration.fps, demonstration.scene, features)
 
 
@@ -63,12 +65,14 @@ class DatasetWriter:
         repo_id: name of the dataset.
         root: its folder, which must not exist; default: LeRobot's.
         environment: what the episodes replay in.
+        clouds: options of the clouds that were made for them; None if they are the cameras' own.
         provenance: how they came about.
+        state_key: where `add` puts the state of objects, one of `schema.STATES_OF_OBJECTS`.
         cameras: LeRobot's features of cameras whose pictures pass through.
         partial: folder for unfinished files, on the same disk; default: a hidden sibling of `root`.
 
     Attributes:
-        environment, provenance: as given; they may be completed until the block ends.
+        environment, provenance: as given; the former's start and the latter may be completed until the block ends.
     """
 
     def __init__(
@@ -77,7 +81,9 @@ class DatasetWriter:
         root: str | Path | None = None,
         *,
         environment: Environment | None = None,
+        clouds: dict[str, Any] | None = None,
         provenance: Provenance | None = None,
+        state_key: str = schema.PRIVILEGED_STATE,
         cameras: Mapping[str, dict] | None = None,
         partial: Path | None = None,
     ) -> None:
@@ -85,6 +91,7 @@ class DatasetWriter:
         self.root = Path(root) if root is not None else default_root(repo_id)
         self.environment = environment or Environment()
         self.provenance = provenance or Provenance()
+        self._clouds, self._state_key = clouds, state_key
         self._cameras = dict(cameras or {})
         self._partial = partial or self.root.parent / f".{self.root.name}.partial-{os.getpid()}"
         self._new_folders: list[Path] = []
@@ -116,10 +123,9 @@ class DatasetWriter:
         Raises:
             CEIError: the episode does not match the first one, or a depth is out of range.
         """
-        episode = encode_episode(
-            encode(demonstration), (header := Header.of(demonstration)).features, demonstration.task
-        )
-        self.append(header, episode, record, pictures)
+        header = Header.of(demonstration, self._state_key)
+        columns = encode(demonstration, self._state_key)
+        self.append(header, encode_episode(columns, header.features, demonstration.task), record, pictures)
 
     def append(
         self,
@@ -135,22 +141,34 @@ class DatasetWriter:
             _check_same(self._header, header, f"episode {self._count}")
         assert self._episodes is not None and self._records is not None
         self._episodes.add(episode, pictures)
-        self._records.add(record or {})
+        rows = digest(episode.table, header.features, f"episode {self._count}")
+        self._records.add({**(record or {}), ROWS: rows})
         self._count += 1
 
     def _start(self, header: Header) -> None:
         if header.fps != int(header.fps):
             raise CEIError(f"fps {header.fps} is not an integer, as LeRobot requires.")
         check_scene(header.scene, "episode 0")
+        self._header = header
         self._episodes = EpisodeWriter(
             self.repo_id,
             self._partial,
             fps=int(header.fps),
-            features=header.features | self._cameras,
+            features=with_essentials(header.features | self._cameras, self._metadata()),
             robot_type=header.embodiment,
         )
         self._records = RecordWriter(self._partial)
-        self._header = header
+
+    def _metadata(self) -> Metadata:
+        assert self._header is not None
+        return Metadata(
+            embodiment=self._header.embodiment,
+            scene=self._header.scene,
+            environment=self.environment,
+            clouds=self._clouds,
+            total_episodes=self._count,
+            provenance=self.provenance,
+        )
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -175,12 +193,7 @@ class DatasetWriter:
         self._episodes.finalize()
         self._episodes.check()
         self._records.close()
-        metadata = Metadata(
-            embodiment=self._header.embodiment,
-            scene=self._header.scene,
-            environment=self.environment,
-            provenance=self.provenance,
-        )
+        metadata = self._metadata()
         metadata.save(self._partial)
         write_card(self._partial, self.repo_id, metadata)
         if self.root.exists():
@@ -196,9 +209,14 @@ def _check_same(first: Header, other: Header, where: str) -> None:
     if not _same_scene(first.scene, other.scene):
         raise CEIError(f"{where}: base, cameras or workspace differ from episode 0; use one dataset a scene.")
     for key in sorted(first.features.keys() | other.features.keys()):
-        expected, got = (found.features.get(key, {}).get("shape") for found in (first, other))
+        expected, got = (_shape(found.features.get(key)) for found in (first, other))
         if expected != got:
             raise CEIError(f"{where}: {key} has shape {got} but the dataset's is {expected}.")
+
+
+def _shape(feature: dict | None) -> list[int] | None:
+    """A feature's shape, that which it lies flat of where it does."""
+    return None if feature is None else (feature.get("info") or {}).get("shape") or [*feature["shape"]]
 
 
 def _same_scene(a: Scene, b: Scene) -> bool:

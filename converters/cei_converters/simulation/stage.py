@@ -50,7 +50,7 @@ class Stage:
                 f"episode {demonstration.index} is of {demonstration.embodiment}, but {self.env_id} has a {self.embodiment}."
             )
         if demonstration.environment_state is None:
-            raise CEIError(f"episode {demonstration.index} has no observation.environment_state to start from.")
+            raise CEIError(f"episode {demonstration.index} has no privileged.environment_state to start from.")
         env = self.env
         start = {"environment_state": demonstration.environment_state[0], "agent_pos": demonstration.qpos[0]}
         _, info = env.reset(seed=demonstration.index, options=start)

@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from cei_converters.dataset import schema
+from cei_converters.dataset import identity, schema
 from cei_converters.dataset.cameras import Pictures, find_clip, read_pictures
 from cei_converters.dataset.columns import decode_array, read_columns
 from cei_converters.dataset.decoding import decode_frames, decode_pictures
 from cei_converters.dataset.depth import camera_name, check_depth_feature, image_depth_m, video_depth_m
 from cei_converters.dataset.locate import locate
+from cei_converters.dataset.metadata import restore_with
 from cei_converters.dataset.opening import choose_embodiment, load_lerobot_metadata, load_metadata
-from cei_converters.dataset.records import load_records
+from cei_converters.dataset.records import RECORDS_PATH, ROWS, load_records
 from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.joint_map import BoundJointMap, JointMap, bind
 from cei_converters.sources.recording import Recording, Recordings, spread
@@ -54,11 +55,11 @@ class DatasetReader(Source):
         self.repo_id = repo_id
         self.root = locate(repo_id, root)
         self.metadata = load_metadata(self.root, embodiment)
-        self.records = load_records(self.root)
         self.embodiment = choose_embodiment(self.root, self.metadata, embodiment)
         scene = self.metadata.scene if self.metadata is not None else scene_without_metadata(T_world_base, calibration)
         self.scene = scene if calibration is None else calibration.over(scene)
         self._meta = load_lerobot_metadata(repo_id, self.root)
+        self.records = load_records(self.root, int(self._meta.total_episodes))
         self.fps = float(self._meta.fps)
         self.has_clouds = schema.POINT_CLOUD in self._meta.features
         self._bound = self._bind(joint_map)
@@ -112,7 +113,8 @@ class DatasetReader(Source):
         self.segmented = bool(masks)
         self._rgb = {camera_name(key): key for key in belonging if key not in masks}
         self.cameras = {key: features[key] for key in self._meta.camera_keys if key not in self._depth}
-        used = {self._state, self._action, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._meta.camera_keys}
+        self._objects = next((key for key in schema.STATES_OF_OBJECTS if key in features), schema.PRIVILEGED_STATE)
+        used = {self._state, self._action, schema.POINT_CLOUD, *schema.STATES_OF_OBJECTS, *self._meta.camera_keys}
         own = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
         self.ignored_features = [key for key in features if key not in used | own]
 
@@ -122,6 +124,31 @@ class DatasetReader(Source):
     def frames(self, index: int) -> int:
         """Frames of an episode, without reading it."""
         return int(self._meta.episodes[index]["length"])
+
+    def record(self, index: int) -> dict[str, Any]:
+        """What is known of an episode; empty if nothing is.
+
+        Raises:
+            CEIError: what should be of it is of another episode.
+        """
+        record = super().record(index)
+        expected = record.pop(ROWS, None)
+        if expected is not None and expected != self.digest(index):
+            raise CEIError(
+                f"line {index + 1} of {self.root / RECORDS_PATH} is of another episode than episode {index}: the dataset was "
+                f"changed; remove the file, or restore it. {restore_with(self.root)}"
+            )
+        return record
+
+    def digest(self, index: int) -> str:
+        """Of an episode's joints; see `identity`.
+
+        Raises:
+            CEIError: it cannot be read.
+        """
+        keys = [key for key in identity.KEYS if key in self._meta.features]
+        rows = read_columns(self.root, self._meta, index, keys)
+        return identity.digest(rows, self._meta.features, f"episode {index}", keys)
 
     def read(self, index: int, *, clouds: bool = True, colours: bool = True) -> Demonstration:
         """One episode.
@@ -137,7 +164,7 @@ class DatasetReader(Source):
         self.select([index])
         depth = self._depth if clouds else {}
         trajectories = [key for key in (self._state, self._action) if key is not None]
-        keys = [*trajectories, schema.ENVIRONMENT_STATE]
+        keys = [*trajectories, self._objects]
         rgb = self._rgb if clouds and colours else {}
         images = [key for key in rgb.values() if key in self._meta.image_keys]
         keys = [*keys, schema.POINT_CLOUD, "timestamp", *depth, *images] if clouds else keys
@@ -152,7 +179,11 @@ class DatasetReader(Source):
         }
         action = None if self._action is None else values[self._action]
         joints = self.joints(values[self._state], action, index, self._bound)
-        environment_state = values.get(schema.ENVIRONMENT_STATE)
+        clouds_world = values.get(schema.POINT_CLOUD)
+        if clouds_world is not None:
+            shape = schema.cloud_shape(features[schema.POINT_CLOUD], schema.POINT_CLOUD)
+            clouds_world = clouds_world.reshape(len(clouds_world), *shape)
+        environment_state = values.get(self._objects)
         tasks = self._meta.episodes[index]["tasks"]
         return Demonstration(
             embodiment=self.embodiment.name,
@@ -164,9 +195,9 @@ class DatasetReader(Source):
             task=tasks[0] if tasks else "",
             depth_m={camera.name: self._depth_m(index, key, camera, table) for key, camera in depth.items()},
             rgb={name: self._pictures(index, key, table) for name, key in rgb.items()},
-            point_cloud_world=values.get(schema.POINT_CLOUD),
+            point_cloud_world=clouds_world,
             environment_state=None if environment_state is None else environment_state.astype(np.float64),
-            environment_state_names=tuple(schema.feature_names(features.get(schema.ENVIRONMENT_STATE, {}))),
+            environment_state_names=tuple(schema.feature_names(features.get(self._objects, {}))),
             index=index,
         )
 

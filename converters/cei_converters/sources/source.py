@@ -5,20 +5,19 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.essentials import Remains
+from cei_converters.dataset.metadata import Metadata, restore_with
 from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.joint_map import BoundJointMap
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 from cei_gym.kinematics.inverse import follow_link
-
-if TYPE_CHECKING:
-    from cei_converters.dataset.metadata import Metadata
 
 # how far outside its range a joint may be read before its unit must be wrong
 UNIT_SLACK = {"rad": np.pi, "m": 0.5}
@@ -57,7 +56,7 @@ class Source(ABC):
     root: Path
     embodiment: Embodiment
     scene: Scene
-    metadata: "Metadata | None" = None
+    metadata: Metadata | None = None
     records: Sequence[Mapping[str, Any]] = ()
     fps: float
     has_clouds: bool = False
@@ -92,6 +91,21 @@ class Source(ABC):
     def record(self, index: int) -> dict[str, Any]:
         """What is known of an episode; empty if nothing is."""
         return dict(self.records[index]) if index < len(self.records) else {}
+
+    def source_episode(self, index: int) -> int:
+        """Which episode of the dataset that it was converted from an episode was.
+
+        Raises:
+            CEIError: nothing says so.
+        """
+        found = self.record(index).get("source_episode")
+        if found is None:
+            lost = isinstance(self.metadata, Remains)
+            raise CEIError(
+                f"{self.repo_id} does not say what its episode {index} was converted from; leave --source out."
+                + (f" {restore_with(self.root)}" if lost else "")
+            )
+        return found
 
     def check_videos(self, episodes: Sequence[int]) -> None:  # noqa: B027  (most formats have none)
         """Check that episodes' video files are there.

@@ -1,7 +1,7 @@
 """What is shown: an episode's robots, pads and clouds in the world, on one timeline."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -140,9 +140,9 @@ def load_view(reader: "Source", index: int, source: "Source | None" = None) -> V
 
 def _origin(reader: "Source", index: int, length: int, source: "Source") -> tuple[int, np.ndarray]:
     """Episode of the source, and which of its frames each frame of an episode shows: all in turn if it does not say."""
-    record = reader.record(index)
-    source_index = record.get("source_episode", index)
+    record, source_index = reader.record(index), reader.source_episode(index)
     where = f"{reader.repo_id}, episode {index}"
+    _check_source(reader, record, source, where)
     if not isinstance(source_index, int) or not 0 <= source_index < len(source):
         raise CEIError(f"{where} was converted from episode {source_index}, which {source.repo_id} does not have.")
     of_source = source.frames(source_index)
@@ -159,6 +159,19 @@ def _origin(reader: "Source", index: int, length: int, source: "Source") -> tupl
             f"0 to {of_source - 1}; is --source the dataset that it was converted from?"
         )
     return source_index, np.array(frames)
+
+
+def _check_source(reader: "Source", record: dict[str, Any], source: "Source", where: str) -> None:
+    """Check that the source is what metadata says, as far as it does: of the robot, and, of a merged dataset, of the name."""
+    if reader.metadata is None:
+        return
+    origin = reader.metadata.provenance_of(record, where).source
+    if origin is None:
+        return
+    if origin.embodiment != source.embodiment.name:
+        raise CEIError(f"{where} was converted from {origin.embodiment}; --source is of {source.embodiment.name}.")
+    if reader.metadata.merged and not {origin.repo_id, origin.root_name} & {source.repo_id, source.root.name}:
+        raise CEIError(f"{where} was converted from {origin.repo_id}; --source is {source.repo_id}.")
 
 
 def make_side(role: str, embodiment: Embodiment, demonstration: Demonstration, frames: np.ndarray) -> Side:
