@@ -21,7 +21,7 @@ $(ENVIRONMENT): requirements.lock pyproject.toml envs/pyproject.toml policies/py
 	@touch $@
 
 demo: setup ## Move a skill between two robots and show it: outputs/demo/report.html
-	@$(PYTHON_ENV) -m cei_converters.demo
+	@$(PYTHON_ENV) -m cei_converters.start demo
 
 test: setup ## Run the tests (PYTEST_ARGS="-k word" picks some)
 	@OMP_NUM_THREADS=1 $(PYTHON_ENV) -m pytest -n 2 --dist worksteal $(PYTEST_ARGS) tests

@@ -45,6 +45,7 @@ from cei_gym.pointcloud.isolated import isolated
 from cei_gym.pointcloud.remember import remember
 
 METHODS = ("cei", "bms")
+_MOST_POINTS = 100_000
 _FIRST_FRAME_ITERATIONS = 200
 _FINALISTS = 8
 _TOLERATED_M = 0.005  # of penetration, and of contact points that miss the source's
@@ -85,6 +86,12 @@ class TransferOptions:
             raise unknown("transfer.representation", self.representation, VARIANTS)
         if not 1 <= self.stretch < np.inf:
             raise CEIError(f"transfer.stretch={self.stretch} must be at least 1.")
+        if not 1 <= self.points <= _MOST_POINTS:
+            raise CEIError(f"transfer.points={self.points} must be at least 1, and at most {_MOST_POINTS}.")
+        if self.seed < 0:
+            raise CEIError(f"transfer.seed={self.seed} must be at least 0.")
+        if not 0 < self.unreachable_mm < np.inf:
+            raise CEIError(f"transfer.unreachable_mm={self.unreachable_mm} must be positive.")
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,11 @@
-"""YAML and JSON from strangers: no aliases that stand for a billion values, no key twice, no bottomless nesting."""
+"""YAML and JSON from strangers: no aliases that stand for a billion values, no key twice, no bottomless nesting; and rows of numbers."""
 
 import json
 import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import yaml
 
 from cei_gym.errors import CEIError, one_line
@@ -28,6 +29,24 @@ def load_json(text: str) -> Any:
         CEIError: as `load_yaml`.
     """
     return _load(lambda text: json.loads(text, object_pairs_hook=_object), text)
+
+
+def finite_row(value: object, count: int) -> np.ndarray:
+    """(count,) floats, of whatever is no text, truth or complex number.
+
+    Raises:
+        CEIError: it is something else; the message is what it is, to be put after "not".
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, RuntimeError):  # of unequal lengths; a tensor that is elsewhere
+        raise CEIError(f"a {type(value).__name__} that is no array") from None
+    if array.dtype.kind not in "fiu" or array.shape != (count,):
+        raise CEIError(f"{array.dtype} of shape {array.shape}")
+    array = array.astype(float)
+    if not np.isfinite(array).all():
+        raise CEIError(f"{array[~np.isfinite(array)][0]} at {np.flatnonzero(~np.isfinite(array))[0]}")
+    return array
 
 
 def _load(parse: Callable[[str], Any], text: str) -> Any:

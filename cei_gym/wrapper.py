@@ -11,6 +11,7 @@ from cei_gym.errors import CEIError
 from cei_gym.impersonation import Impersonation
 from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, frame_points
 from cei_gym.transfer import Transfer
+from cei_gym.untrusted import finite_row
 
 
 class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.utils.EzPickle):
@@ -150,10 +151,10 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
 
     @staticmethod
     def _checked(qpos: np.ndarray, of: Embodiment) -> np.ndarray:
-        qpos = np.asarray(qpos, float)
-        if qpos.shape != (len(of.home),) or not np.isfinite(qpos).all():
-            raise CEIError(f"{of.name} takes {len(of.home)} finite joint positions, not {qpos!r}.")
-        return qpos
+        try:
+            return finite_row(qpos, len(of.home))
+        except CEIError as error:
+            raise CEIError(f"{of.name} takes {len(of.home)} finite joint positions, not {error}.") from None
 
 
 def _cloud_space(workspace_world: np.ndarray, clouds: CloudOptions, given: gym.Space) -> gym.spaces.Box:

@@ -14,20 +14,26 @@ from cei_gym.embodiment import load_embodiment
 ROBOT, EPISODES, FRAMES = "Panda-PandaGripper", 5, 6
 
 
-def write_source(root: Path) -> None:
-    """A small dataset with depth."""
-    body, random = load_embodiment(ROBOT), np.random.default_rng(0)
+def demonstration(index: int = 0, random: np.random.Generator | None = None) -> Demonstration:
+    """A short one, with depth."""
+    body, random = load_embodiment(ROBOT), random or np.random.default_rng(0)
     K = np.array([[20.0, 0.0, 4.0], [0.0, 20.0, 4.0], [0.0, 0.0, 1.0]])
     scene = Scene(np.eye(4), (Camera("front", 8, 8, K, np.eye(4)),), np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]]))
+    qpos = body.home + np.cumsum(random.normal(0, 0.01, (FRAMES + index, len(body.home))), axis=0)
+    depth_m = {"front": random.uniform(0.2, 1.0, (len(qpos), 8, 8)).astype(np.float32)}
+    return Demonstration(ROBOT, 20.0, qpos, qpos, scene, f"task {index % 2}", depth_m)
+
+
+def write_source(root: Path) -> None:
+    """A small dataset with depth."""
+    random = np.random.default_rng(0)
     with DatasetWriter("me/pick", root) as writer:
         for index in range(EPISODES):
-            qpos = body.home + np.cumsum(random.normal(0, 0.01, (FRAMES + index, len(body.home))), axis=0)
-            depth_m = {"front": random.uniform(0.2, 1.0, (len(qpos), 8, 8)).astype(np.float32)}
-            writer.add(Demonstration(ROBOT, 20.0, qpos, qpos, scene, f"task {index % 2}", depth_m))
+            writer.add(demonstration(index, random))
 
 
 def arguments(source: Path, root: Path, *more: str) -> list[str]:
-    """Of `cei-convert`, a shard an episode, with few starts: the quickest that goes through everything."""
+    """Of `cei-convert`, a shard an episode, with few starts: the quickest that goes through everything. What more is given wins."""
     names = [
         "--dataset.repo_id=me/pick",
         f"--dataset.root={source}",
@@ -35,7 +41,8 @@ def arguments(source: Path, root: Path, *more: str) -> list[str]:
         "--new_repo_id=me/out",
     ]
     quick = ["--init.starts=8", "--init.basins=1", "--shard_episodes=1", "--allow_unreachable", "--workers=1"]
-    return [*names, f"--new_root={root}", *quick, *more]
+    given = {option.partition("=")[0] for option in more}
+    return [*names, f"--new_root={root}", *(o for o in quick if o.partition("=")[0] not in given), *more]
 
 
 def run(args: list[str], log: Path) -> None:

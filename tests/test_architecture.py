@@ -94,7 +94,7 @@ def test_torch_is_only_where_solvers_need_it() -> None:
 LAYERS = {
     "cei_gym": ["errors", "embodiment", "kinematics", "functional", "alignment", "transfer"],
     "cei_converters": [
-        *("dataset", "cli", "simulation", "sources", "view", "inspection", "conversion"),
+        *("signals", "start", "dataset", "cli", "simulation", "sources", "view", "inspection", "conversion"),
         *("pads", "record", "replay", "convert", "restore", "report", "demo", "benchmark"),
     ],
 }

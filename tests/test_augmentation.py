@@ -251,7 +251,7 @@ def test_an_episode_is_shown_beside_its_source_without_residuals(source: Path, a
 def test_it_is_the_same_however_it_is_cut_and_interrupted(
     source: Path, augmented: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    args = [*killed.arguments(source, tmp_path / "out", *AUGMENT), "--shard_episodes=3"]
+    args = killed.arguments(source, tmp_path / "out", *AUGMENT, "--shard_episodes=3")
     add, added = shard.ShardWriter.add, []
 
     def interrupted(self: shard.ShardWriter, converted: shard.Converted) -> None:
@@ -271,8 +271,14 @@ def test_it_is_the_same_however_it_is_cut_and_interrupted(
 
 
 def test_of_many_episodes_the_table_has_the_worst(source: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    args = killed.arguments(source, tmp_path / "out", "--augment.grid=9,6", "--episodes=0", "--dry_run")
-    assert convert.main([*args, "--shard_episodes=50", f"--json={tmp_path / 'all.json'}"]) == 0
+    options = [
+        "--augment.grid=9,6",
+        "--episodes=0",
+        "--dry_run",
+        "--shard_episodes=50",
+        f"--json={tmp_path / 'all.json'}",
+    ]
+    assert convert.main(killed.arguments(source, tmp_path / "out", *options)) == 0
     printed = capsys.readouterr().out
     assert "of 54 episodes, the 20 of lowest quality, and the mean of all" in " ".join(printed.split())
     rows = [line.split("│")[1:-1] for line in printed.splitlines() if line.startswith("│")]

@@ -107,6 +107,9 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+SMALL = ("--clouds.points=64", "--clouds.robot_points=512")
+
+
 def run(root: Path, out: Path, *options: str) -> int:
     return convert.main(
         [
@@ -118,8 +121,6 @@ def run(root: Path, out: Path, *options: str) -> int:
             f"--new_root={out}",
             "--init.starts=8",
             "--init.basins=1",
-            "--clouds.points=64",
-            "--clouds.robot_points=512",
             *options,
         ]
     )
@@ -128,7 +129,7 @@ def run(root: Path, out: Path, *options: str) -> int:
 @pytest.fixture(scope="module")
 def converted(source: Path, calibration: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("converted") / "out"
-    assert run(source, out, f"--calibration={calibration}") == 0
+    assert run(source, out, f"--calibration={calibration}", *SMALL) == 0
     return out
 
 
@@ -484,7 +485,7 @@ def test_rgb_only_is_said(rgb_converted: Path, rgb_source: Path, tmp_path: Path,
 def test_a_converted_dataset_converts_again(converted: Path, tmp_path: Path) -> None:
     out = tmp_path / "again"
     options = (f"--source={TARGET}", "--target=UR5e-FourierRight", "--episodes=1")
-    assert run(converted, out, *options, "--allow_unreachable") == 0
+    assert run(converted, out, *options, *SMALL, "--allow_unreachable") == 0
     theirs, (ours,) = episodes(converted)[FAST], episodes(out)
     frames = records(out)[0].get("source_frames", range(len(theirs)))
     for frame, item in zip(frames, ours, strict=True):

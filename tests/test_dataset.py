@@ -18,7 +18,7 @@ from cei_converters.dataset.columns import encode
 from cei_converters.dataset.episodes import EpisodeWriter
 from cei_converters.dataset.license import source_license
 from cei_converters.dataset.metadata import Environment, Metadata, Source
-from cei_converters.dataset.provenance import collect, command_line, fingerprint
+from cei_converters.dataset.provenance import collect, fingerprint
 from cei_converters.dataset.records import Records
 from cei_converters.dataset.rows import EPISODE, read_rows
 from cei_converters.dataset.writer import DatasetWriter
@@ -295,11 +295,6 @@ def test_card_is_complete(root: Path) -> None:
         assert text in card
     assert "`--transfer.steps`" in card
     assert "More Information" not in card
-
-
-def test_command_line_hides_folders() -> None:
-    hidden = command_line(["/opt/bin/cei-convert", "--dataset.root=/home/me/pick", "--target=A", "/tmp/x"])
-    assert hidden == "cei-convert --dataset.root=pick --target=A x"
 
 
 def test_fingerprint_follows_content(root: Path, tmp_path: Path) -> None:

@@ -414,7 +414,7 @@ def test_a_yaml_trusts_no_folder_but_its_own(tmp_path: Path) -> None:
     assert "package_path: '..' is not below the YAML's own folder" in message
     assert "unknown field `folder`" in refusal(lambda: hand_of(tmp_path / "a/hand.urdf", finger_urdf(""), folder="/"))
     with pytest.raises(CEIError, match="--package_path: no such folder: nowhere"):
-        use_package_path("nowhere")
+        use_package_path(["nowhere"])
 
 
 def test_includes_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:

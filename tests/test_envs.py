@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import gymnasium as gym
 import mujoco
@@ -370,9 +371,14 @@ def test_a_step_waits_until_the_joints_are_there(name: str, envs: dict[str, CEIE
 
 
 @pytest.mark.parametrize(
-    "action", [np.zeros(3), np.zeros((1, 9)), np.full(9, np.nan), np.where(np.arange(9) == 4, np.inf, 0), 0.0]
+    "action",
+    [
+        *(np.zeros(3), np.zeros((1, 9)), np.full(9, np.nan), np.where(np.arange(9) == 4, np.inf, 0), 0.0),
+        *("abc", ["1"] * 9, None, [[0.0], [0.0, 1.0]], np.zeros(9, bool), np.zeros(9, complex), np.zeros(9, object)),
+    ],
+    ids=lambda action: str(action)[:20],
 )
-def test_actions_that_cannot_be_are_refused(action: np.ndarray, envs: dict[str, CEIEnv]) -> None:
+def test_actions_that_cannot_be_are_refused(action: Any, envs: dict[str, CEIEnv]) -> None:
     env = envs[NAMES[0]]
     env.reset(seed=0)
     before = env._simulation.data.time
@@ -390,6 +396,10 @@ def test_actions_that_cannot_be_are_refused(action: np.ndarray, envs: dict[str, 
         ({"environment_state": np.zeros(10)}, "'environment_state' is 11 finite numbers"),
         ({"agent_pos": np.zeros(8)}, "'agent_pos' is 9 finite numbers"),
         ({"agent_pos": np.full(9, np.nan)}, "'agent_pos' is 9 finite numbers"),
+        ({"agent_pos": "home"}, "'agent_pos' is 9 finite numbers, not <U4 of shape ()"),
+        ({"agent_pos": None}, "'agent_pos' is 9 finite numbers, not object of shape ()"),
+        ({1: 2}, "unknown reset option '1'"),
+        (3, "reset options are a mapping of environment_state and agent_pos, not 3."),
     ],
 )
 def test_reset_options_are_checked(options: dict, message: str, envs: dict[str, CEIEnv]) -> None:
@@ -397,6 +407,31 @@ def test_reset_options_are_checked(options: dict, message: str, envs: dict[str, 
         envs[NAMES[0]].reset(options=options)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "a", np.int64(-1)])
+def test_a_seed_that_is_none_is_refused(seed: Any, envs: dict[str, CEIEnv]) -> None:
+    with pytest.raises(CEIError, match=rf"^a seed is a whole number, at least 0, not {seed}\.$"):
+        envs[NAMES[0]].reset(seed=seed)
+    first, _ = envs[NAMES[0]].reset(seed=3)
+    again, _ = envs[NAMES[0]].reset(seed=np.int64(3))  # pyright: ignore[reportArgumentType]
+    np.testing.assert_array_equal(first["environment_state"], again["environment_state"])
+
+
+def test_before_an_episode_and_after_the_end_there_is_one_clear_error() -> None:
+    env = gym.make(f"CEI-PickCube-{NAMES[0]}", clouds=False, render_mode="rgb_array")
+    inner, action = env.unwrapped, np.zeros(9, np.float32)
+    with pytest.raises(CEIError, match=r"^no episode has begun: call reset\(\) before step\(\)\.$"):
+        inner.step(action)
+    with pytest.raises(gym.error.ResetNeeded):  # Gymnasium's own word for it
+        env.step(action)
+    env.reset(seed=0)
+    env.step(inner.embodiment.home)  # pyright: ignore[reportAttributeAccessIssue]
+    env.close()
+    env.close()
+    for call in (lambda: env.step(action), lambda: env.reset(seed=0), env.render, lambda: inner.step(action)):
+        with pytest.raises(CEIError, match=r"^the environment is closed; make another one, with gym\.make\.$"):
+            call()
 
 
 # -- the task ------------------------------------------------------------------------------------------------

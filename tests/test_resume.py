@@ -55,7 +55,8 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[list[s
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CEI_WARM", "1")
-        patch.setenv("PYTHONPATH", str(Path(killed.__file__).parent))  # the server's own, for its preloads
+        folders = [str(Path(killed.__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+        patch.setenv("PYTHONPATH", os.pathsep.join(folders))  # the server's own, for its preloads
         start(["--help"]).join()
         yield start
 
@@ -111,7 +112,7 @@ def test_killed_at_any_moment_and_resumed_it_makes_the_same_dataset(
 
 
 def test_workers_make_the_same_dataset(source: Path, whole: Path, tmp_path: Path) -> None:
-    assert convert.main([*killed.arguments(source, tmp_path / "out"), "--workers=4", "--shard_episodes=2"]) == 0
+    assert convert.main(killed.arguments(source, tmp_path / "out", "--workers=4", "--shard_episodes=2")) == 0
     same(tmp_path / "out", whole)
 
 
@@ -120,7 +121,7 @@ def test_where_one_of_many_processes_is_killed_what_is_done_is_kept(
     source: Path, whole: Path, tmp_path: Path, victim: str
 ) -> None:
     root = tmp_path / "out"
-    args = [*killed.arguments(source, root), "--workers=4"]
+    args = killed.arguments(source, root, "--workers=4")
     command = [sys.executable, "-m", "cei_converters.convert", *args]
     command = [
         "bash",
@@ -248,10 +249,12 @@ def test_what_was_begun_is_neither_mixed_up_nor_lost(
     data.write_bytes(before)
     frames = next(shards.glob("0*")) / "frames.arrow"
     frames.write_bytes(frames.read_bytes()[:-1])  # made again
-    assert convert.main([*args, "--resume", "--workers=1", "--shard_episodes=3"]) == 0
-    same(root, whole)
     capsys.readouterr()
+    assert convert.main(killed.arguments(mine, root, "--resume", "--shard_episodes=3")) == 0
+    assert "Shards stay as they were begun: --shard_episodes=1." in capsys.readouterr().out
+    same(root, whole)
     shards.mkdir(parents=True)  # as if killed as soon as it was finished
+    (shards.parent / "plan.json").touch()
     assert convert.main([*args, "--resume"]) == 0
     assert f"{root} is finished; nothing is left to do." in capsys.readouterr().out
     assert siblings(root) == [root.name]

@@ -241,13 +241,13 @@ def test_clouds_of_any_size_and_with_colours_are_shown(alone: Path, tmp_path: Pa
     ("options", "message"),
     [
         (["--episode=7", "--rrd={new}.rrd"], "me/target has no episode 7. Valid: 0 to 0."),
-        (["--rrd={there}"], "already exists"),
+        (["--sheet={new}.png", "--json={there}"], "already exists"),
         (["--sheet={there}"], "should end in .png"),
         (["--rrd={new}"], "should end in .rrd"),
         ([], "no display to open the viewer on; save --rrd=<file>.rrd or --sheet=<file>.png"),
         (["--dataset.root={new}", "--sheet={new}.png"], "no LeRobot dataset in"),
         (["--source.repo_id=me/alone", "--source.root={alone}", "--sheet={new}.png"], "is --source the dataset"),
-        (["--json={new}/x.json", "--sheet={new}.png"], "there is no folder"),
+        (["--json={there}/x.json", "--sheet={new}.png"], "view.rrd is no folder"),
     ],
 )
 def test_bad_input_gives_one_line_and_leaves_nothing(

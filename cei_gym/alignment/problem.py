@@ -33,6 +33,11 @@ class PaperOptions:
     patience: int = 10
     limit_weight: float = 1.0
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 < value < np.inf:
+                raise CEIError(f"solver.paper.{name}={value} must be above 0.")
+
 
 @dataclass(frozen=True)
 class ClearanceOptions:
@@ -50,6 +55,11 @@ class ClearanceOptions:
     arm_margin_m: float = 0.02
     hand_margin_m: float = 0.0
     idle_margin_m: float = 0.005
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 <= value < np.inf:
+                raise CEIError(f"solver.clearance.{name}={value} must be at least 0.")
 
 
 @dataclass(frozen=True)

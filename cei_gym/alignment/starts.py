@@ -12,6 +12,7 @@ METHODS = ("multistart", "eis", "given")
 _SAME_RAD = 0.15
 _REFINE_ITERATIONS = 200
 _ELITE_SHARE = 0.1
+_MOST = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,10 @@ class InitialisationOptions:
         for name in ("modes", "starts", "iterations", "draws", "basins"):
             if getattr(self, name) < 1:
                 raise CEIError(f"init.{name}={getattr(self, name)} must be at least 1.")
+            if getattr(self, name) > _MOST:
+                raise CEIError(f"init.{name}={getattr(self, name)} must be at most {_MOST}.")
+        if self.seed < 0:
+            raise CEIError(f"init.seed={self.seed} must be at least 0.")
         if (self.method == "given") != (self.qpos is not None):
             raise CEIError("init.method=given and init.qpos go together: give both or neither.")
         if self.method == "given" and self.modes > 1:

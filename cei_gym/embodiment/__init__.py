@@ -11,6 +11,7 @@ from cei_gym.embodiment.catalogue import (
     load_end_effector,
 )
 from cei_gym.embodiment.embodiment import Coupled, Embodiment, build_embodiment
+from cei_gym.embodiment.identity import fingerprint
 from cei_gym.embodiment.resources import use_package_path
 from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec, Pad, PhysicsException, load_spec
 
@@ -28,6 +29,7 @@ __all__ = [
     "build_embodiment",
     "embodiment_names",
     "end_effector_names",
+    "fingerprint",
     "load_arm",
     "load_embodiment",
     "load_end_effector",

@@ -109,14 +109,14 @@ def package_root(package: str) -> Path:
     return Path(next(iter(spec.submodule_search_locations)))
 
 
-def use_package_path(folders: str | None) -> None:
-    """Look for ROS packages in these folders, separated as in PATH, from now on, in this process and those that it starts.
+def use_package_path(folders: Iterable[str | Path] | None) -> None:
+    """Look for ROS packages in these folders from now on, in this process and those that it starts.
 
     Raises:
         CEIError: one is no folder.
     """
     if folders is not None:
-        found = [_existing(folder, "--package_path") for folder in folders.split(os.pathsep) if folder]
+        found = [_existing(folder, "--package_path") for folder in map(str, folders)]
         os.environ[PACKAGE_PATH] = os.pathsep.join(map(str, found))
 
 

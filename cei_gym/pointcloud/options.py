@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from cei_gym.errors import CEIError
 
+_MOST_POINTS = 10_000_000
+
 
 @dataclass(frozen=True)
 class CloudOptions:
@@ -38,6 +40,10 @@ class CloudOptions:
         for name in ("points", "robot_points"):
             if getattr(self, name) < 1:
                 raise CEIError(f"clouds.{name}={getattr(self, name)} must be at least 1.")
+            if getattr(self, name) > _MOST_POINTS:
+                raise CEIError(f"clouds.{name}={getattr(self, name)} must be at most {_MOST_POINTS}.")
+        if self.seed < 0:
+            raise CEIError(f"clouds.seed={self.seed} must be at least 0.")
         if not 0 < self.tau_m < float("inf"):
             raise CEIError(f"clouds.tau_m={self.tau_m} must be positive and finite.")
         for name in ("voxel_m", "outlier_m"):

@@ -2,14 +2,19 @@
 
 import contextlib
 import os
-import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cei_converters.cli import run
+from cei_converters.cli.options import check_of_use
 from cei_converters.conversion.config import ConvertConfig, check_options
+from cei_converters.conversion.executors import SlurmOptions
+from cei_converters.conversion.in_order import in_background
+from cei_converters.conversion.plan import BY_CONTENT
 from cei_converters.conversion.reach import check_reached
+from cei_converters.dataset.provenance import fingerprint
 from cei_converters.sources import calibration, joint_map, pose
 from cei_gym.errors import CEIError
 
@@ -48,8 +53,9 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     """
     check_options(config)
 
+    from cei_converters.cli.outputs import JSON, Outputs
     from cei_converters.cli.progress import progress_bar
-    from cei_converters.cli.result import check_json_path, write_json
+    from cei_converters.cli.result import write_json
     from cei_converters.conversion.assemble import assemble
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.executors import warm_up
@@ -58,18 +64,19 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.workplace import Workplace
     from cei_converters.dataset.essentials import Remains
     from cei_converters.dataset.metadata import restore_with
+    from cei_converters.dataset.place import temporary_folder
 
-    check_json_path(config.json)
     if config.resume and (root := _new_root(config)).exists():
         return _finished(config, root)
+    json = Outputs(config.overwrite, None if config.dry_run else _new_root(config)).file("--json", config.json, JSON)
     with contextlib.ExitStack() as stack:
-        if config.dry_run:
-            root = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "dry_run"
-        else:
-            root = _new_root(config)
+        root = stack.enter_context(temporary_folder()) / "dry_run" if config.dry_run else _new_root(config)
         place = stack.enter_context(Workplace(root, config.resume))
         converter = stack.enter_context(Converter(config))
         reader = converter.reader
+        _check_fit(config, reader)
+        # it takes a second a gigabyte, beside the choice of the start
+        content = (lambda: "") if config.dry_run else in_background(lambda: fingerprint(reader.root))
         reader.check_videos(sorted(set(converter.selected)))
         print(_about_cameras(reader, bool(converter.cameras)))
         if isinstance(reader.metadata, Remains):
@@ -84,7 +91,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         frames = [reader.frames(index) for index in converter.selected]
         progress = stack.enter_context(progress_bar("frames"))
         task = progress.add_task("choosing the start", total=sum(frames))
-        plan = _planned(config, place, converter, frames)
+        plan = _planned(config, place, converter, frames, content)
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
             return _submitted(config, place, missing)
         progress.update(task, description="converting")
@@ -107,7 +114,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         }
         if not config.dry_run:
             assemble(place, plan, converter, told)
-        write_json(config.json, result, residuals=residuals(place, plan))
+        write_json(json, result, residuals=residuals(place, plan))
     if config.dry_run:
         if not config.allow_unreachable:
             check_reached(config.target, told.entries)
@@ -121,36 +128,56 @@ def _finished(config: ConvertConfig, root: Path) -> dict[str, Any]:
     """What is to be done when a dataset is there that is gone on with: maybe its upload.
 
     Raises:
-        CEIError: it is of another robot.
+        CEIError: it is of another robot, or was made with other options or of other content.
     """
-    from cei_converters.conversion.workplace import tidy
+    from cei_converters.conversion.converter import Converter
+    from cei_converters.conversion.plan import check_same
     from cei_converters.dataset.metadata import Metadata
+    from cei_converters.dataset.place import tidy
 
-    if Metadata.load(root).embodiment != config.target:
+    metadata = Metadata.load(root)
+    if metadata.embodiment != config.target:
         raise CEIError(f"{root} already exists and is no dataset of {config.target}; choose another folder.")
+    with Converter(config) as converter:
+        check_same(
+            metadata.provenance,
+            _provenance(config, converter, fingerprint(converter.reader.root)),
+            f", or remove {root}.",
+        )
     tidy(root)
     print(f"{root} is finished; nothing is left to do{' but to upload it' * config.push_to_hub}.")
+    if config.json is not None and not config.json.exists():
+        print(f"{config.json} is not made: a result is written when its conversion ends.")
     _upload(config, root)
     return {"root": str(root), "repo_id": config.new_repo_id, "dry_run": False}
 
 
-def _planned(config: ConvertConfig, place: "Workplace", converter: "Converter", frames: list[int]) -> "Plan":
+def _planned(
+    config: ConvertConfig, place: "Workplace", converter: "Converter", frames: list[int], content: Callable[[], str]
+) -> "Plan":
     """The plan that is gone on with, or a new one; the converter then starts where it says.
+
+    Args:
+        config, place, converter: of the conversion.
+        frames: of each episode to convert.
+        content: waits for the dataset's fingerprint.
 
     Raises:
         CEIError: what was begun is not what is wanted now, or an episode cannot be read.
     """
     from cei_converters.conversion.plan import Plan, absolute
 
-    provenance = _provenance(config, converter.reader)
-    config = absolute(config, converter.reader.root)
+    absolutely = absolute(config, converter.reader.root)
     if place.plan.exists():
         plan = Plan.load(place.plan)
-        plan.check_same(config, provenance, place.folder)
+        plan.check_same(_provenance(config, converter, content()), place.folder)
         converter.start_from(plan.finalists)
-        return replace(plan, config=replace(config, shard_episodes=plan.config.shard_episodes))
+        if config.shard_episodes != plan.config.shard_episodes:
+            print(f"Shards stay as they were begun: --shard_episodes={plan.config.shard_episodes}.")
+        return replace(plan, config=replace(absolutely, shard_episodes=plan.config.shard_episodes))
     converter.fit()
-    plan = Plan(config, provenance, converter.transfer.finalists, frames)
+    provenance = _provenance(config, converter, content())
+    plan = Plan(absolutely, provenance, converter.transfer.finalists, frames)
     plan.save(place.plan)
     return plan
 
@@ -197,13 +224,28 @@ class _Rest:
         place = Workplace(Path(self.root), resume=True)
         plan = Plan.load(place.plan)
         place.check_complete(len(plan.shards))
-        convert(replace(plan.config, new_root=self.root, resume=True, executor="local", workers=1))
+        here = {"executor": "local", "slurm": SlurmOptions(), "workers": 1, "resume": True}
+        convert(replace(plan.config, new_root=Path(self.root), **here))
 
 
 def _new_root(config: ConvertConfig) -> Path:
     from cei_converters.dataset.writer import default_root
 
     return Path(config.new_root) if config.new_root is not None else default_root(str(config.new_repo_id))
+
+
+def _check_fit(config: ConvertConfig, reader: "Recorded") -> None:
+    """Check that a dataset has what options are about.
+
+    Raises:
+        CEIError: an option changes nothing with this dataset.
+    """
+    if reader.metadata is not None and config.source_pose is not None:
+        raise CEIError(f"{reader.repo_id} says where its base is (meta/cei.json); leave out --source_pose.")
+    if not (reader.has_clouds or reader.depth_cameras):
+        check_of_use(
+            config, dict.fromkeys(("clouds.*", "check_clouds"), "where a dataset has neither depth nor clouds")
+        )
 
 
 def _about_cameras(reader: "Recorded", pass_through: bool) -> str:
@@ -221,40 +263,36 @@ def _about_cameras(reader: "Recorded", pass_through: bool) -> str:
     return f"{clouds}; passed through untouched, so they still show the source robot: {', '.join(reader.cameras)}."
 
 
-def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
+def _provenance(config: ConvertConfig, converter: "Converter", content: str) -> "Provenance":
+    """How the dataset comes about; `content` is the fingerprint of the one that is converted."""
     from cei_converters.dataset.license import source_license
     from cei_converters.dataset.metadata import Source
-    from cei_converters.dataset.provenance import collect, fingerprint
+    from cei_converters.dataset.provenance import collect, command_line, published
     from cei_converters.sources.joint_map import load_joint_map
+    from cei_gym.embodiment import fingerprint as identity
 
+    reader, root = converter.reader, config.dataset.root
     source = Source(
         repo_id=reader.repo_id,
         embodiment=reader.embodiment.name,
-        root_name=Path(config.dataset.root).name if config.dataset.root else None,
-        revision=_revision(reader.root) if config.dataset.root is None else None,
-        fingerprint=fingerprint(reader.root),
+        root_name=Path(root).name if root else None,
+        revision=_revision(reader.root) if root is None else None,
+        fingerprint=content,
         depth_cameras=reader.depth_cameras,
         **source_license(reader.root),
     )
-    options = {
-        "target": config.target,
-        "target_pose": config.target_pose,
-        **({"calibration": Path(config.calibration).name} if config.calibration else {}),
-        **({"joint_map": load_joint_map(config.joint_map)} if config.joint_map else {}),
-        "episodes": config.episodes,
-        "check_clouds": config.check_clouds,
-        "allow_unreachable": config.allow_unreachable,
-        **({"privileged_state": True} if config.privileged_state else {}),
-        **config.gate.bounds,
-        "init": config.init,
-        "solver": config.solver,
-        "contact": config.contact,
-        "transfer": config.transfer,
-        "clouds": config.clouds,
-        **({"augment": config.augment} if config.augment.enabled else {}),
-        **({"verify": config.verify} if config.verify.enabled else {}),
+    options = published(config)
+    del options["dataset"]  # which is the source
+    inputs = {
+        "source embodiment": identity(reader.embodiment),
+        "target embodiment": identity(converter.transfer.target),
     }
-    return collect(options, source=source)
+    for name in BY_CONTENT:
+        if (file := getattr(config, name)) is not None:
+            inputs[name.replace("_", " ")] = fingerprint(Path(file))
+    if config.joint_map is not None:
+        options["joint_map"] = load_joint_map(config.joint_map)
+    return collect(options, command_line("cei-convert", config), source=source, inputs=inputs)
 
 
 def _revision(root: Path) -> str | None:
@@ -268,6 +306,6 @@ def main(args: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    import cei_converters.convert  # not __main__: workers get what it sends by name
+    from cei_converters import start  # whose module is not __main__: workers get what it sends by name
 
-    raise SystemExit(cei_converters.convert.main())
+    raise SystemExit(start.convert())

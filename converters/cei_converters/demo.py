@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cei_converters.cli import DatasetConfig, SourceConfig, run
+from cei_converters.cli.options import check_range
 from cei_gym.errors import CEIError
 
 SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
@@ -21,7 +22,11 @@ class DemoConfig:
 
     episodes: int = 10  # Demonstrations to record.
     seed: int = 1000  # Of the first one.
-    output: str = "outputs/demo"  # Folder for the report and the datasets; that of an earlier demo is made anew.
+    output: Path = Path("outputs/demo")  # Folder for the report and the datasets; that of an earlier demo is made anew.
+
+    def __post_init__(self) -> None:
+        check_range("--episodes", self.episodes, 1)
+        check_range("--seed", self.seed, 0)
 
 
 def commands(config: DemoConfig) -> list[str]:
@@ -50,24 +55,24 @@ def demo(config: DemoConfig) -> None:
     from cei_converters.sources.reader import DatasetReader
     from cei_gym.embodiment import load_embodiment
 
-    folder = Path(config.output)
+    folder = config.output
     if folder.exists() and not (folder / _MARK).is_file():
         raise CEIError(f"--output={folder} exists, and no demo made it; choose another folder or remove it first.")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     (folder / _MARK).touch()
-    source = DatasetConfig("me/pick_cube_panda", str(folder / "pick_cube_panda"))
-    target = DatasetConfig("me/pick_cube_iiwa", str(folder / "pick_cube_iiwa"))
+    source = DatasetConfig("me/pick_cube_panda", folder / "pick_cube_panda")
+    target = DatasetConfig("me/pick_cube_iiwa", folder / "pick_cube_iiwa")
     print(f"1/4 recording {config.episodes} demonstrations of {SOURCE}")
     record(RecordConfig(f"CEI-PickCube-{SOURCE}", source.repo_id, source.root, config.episodes, config.seed))
     print(f"2/4 converting them for {TARGET}")
     result = folder / "conversion.json"
-    convert(ConvertConfig(source, TARGET, target.repo_id, target.root, json=str(result)))
+    convert(ConvertConfig(source, TARGET, target.repo_id, target.root, json=result))
     print("3/4 replaying the source")
     replays = [replay(ReplayConfig(source, video_episodes=0))]
     print("4/4 replaying the target")
     beside = SourceConfig(source.repo_id, source.root)
-    replays.append(replay(ReplayConfig(target, beside, video=str(folder / "side_by_side.mp4"))))
+    replays.append(replay(ReplayConfig(target, beside, video=folder / "side_by_side.mp4")))
     first, second = (DatasetReader(dataset.repo_id, dataset.root).read(0) for dataset in (source, target))
     embodiments = [load_embodiment(SOURCE), load_embodiment(TARGET)]
     report = folder / "report.html"

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cei_converters.cli import run
-from cei_gym.errors import CEIError, unknown
+from cei_converters.cli.options import check_overwrite, check_range
+from cei_converters.cli.values import home_expanded
+from cei_gym.errors import unknown
 
 EXAMPLE = """example:
   cei-pads --end_effector=Inspire --output=inspire.png
@@ -17,48 +19,54 @@ class PadsConfig:
     """Draw an end-effector with its functional representation: its pads' points and outward normals."""
 
     end_effector: str  # Catalogue name, or a YAML of your own.
-    output: str  # PNG to write.
+    output: Path  # PNG to write; a picture that is there is replaced.
     pose: str = "half"  # home, half (half closed) or closed.
     points: int = 128  # Point-normal pairs in all.
     seed: int = 0  # Of the sampling.
-    package_path: str | None = None  # Folders to look for ROS packages in, separated by colons.
-    json: str | None = None  # File for the result as JSON.
+    package_path: list[Path] | None = None  # Folders to look for ROS packages in, separated by colons.
+    json: Path | None = None  # File for the result as JSON.
+    overwrite: bool = False  # Replace a JSON file that is there already.
+
+    def __post_init__(self) -> None:
+        check_overwrite(self.overwrite, self.json)
+        if self.pose not in POSES:
+            raise unknown("pose", self.pose, POSES)
+        check_range("--points", self.points, 1, 1_000_000)
+        check_range("--seed", self.seed, 0)
 
 
 def draw(config: PadsConfig) -> None:
     """Write the picture.
 
     Raises:
-        CEIError: no such end-effector or pose, or the output exists.
+        CEIError: no such end-effector, or a file that must not be replaced.
     """
     from PIL import Image
 
-    from cei_converters.cli.result import check_json_path, write_json
+    from cei_converters.cli.outputs import JSON, PICTURE, Outputs
+    from cei_converters.cli.result import write_json
     from cei_gym.embodiment import EndEffectorSpec, build_embodiment, load_end_effector, load_spec, use_package_path
     from cei_gym.functional.picture import draw_representation
     from cei_gym.functional.representation import sample_representation
 
-    if config.pose not in POSES:
-        raise unknown("pose", config.pose, POSES)
-    check_json_path(config.json)
-    output = Path(config.output)
-    if output.exists():
-        raise CEIError(f"--output={output} already exists; choose another file or remove it first.")
+    outputs = Outputs(config.overwrite)
+    output, json = outputs.file("--output", config.output, PICTURE), outputs.file("--json", config.json, JSON)
+    assert output is not None
     use_package_path(config.package_path)
     if config.end_effector.lower().endswith((".yaml", ".yml")):
-        path = Path(config.end_effector)
+        path = Path(home_expanded("--end_effector", config.end_effector))
         embodiment = build_embodiment(None, load_spec(EndEffectorSpec, path), path.parent)
     else:
         embodiment = build_embodiment(None, load_end_effector(config.end_effector))
     representation = sample_representation(embodiment, config.points, config.seed)
     share = POSES.index(config.pose) / 2
     picture = draw_representation(representation, (1 - share) * embodiment.home + share * embodiment.closed)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(picture).save(output)
+    with output.whole() as partial:
+        Image.fromarray(picture).save(partial, format="PNG")
     names = [embodiment.body_names[body].split("/")[-1] for body in representation.body]
     pads = {name: names.count(name) for name in dict.fromkeys(names)}
     notes = list(embodiment.notes)
-    write_json(config.json, {"end_effector": embodiment.name, "output": str(output), "pads": pads, "notes": notes})
+    write_json(json, {"end_effector": embodiment.name, "output": str(output), "pads": pads, "notes": notes})
     for note in notes:
         print(f"note: {note}")
     print(f"Wrote {output}: " + ", ".join(f"{count} points on {link}" for link, count in pads.items()) + ".")
@@ -70,4 +78,6 @@ def main(args: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    from cei_converters import start
+
+    raise SystemExit(start.pads())

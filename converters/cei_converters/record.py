@@ -4,9 +4,12 @@ import contextlib
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from cei_converters import signals
 from cei_converters.cli import run
+from cei_converters.cli.options import check_overwrite, check_range
 from cei_converters.simulation.rollout import as_demonstration, record_episode, roll_out
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError
@@ -24,7 +27,7 @@ class RecordConfig:
 
     env: str  # Environment id, such as CEI-PickCube-Panda-PandaGripper.
     repo_id: str  # Name of the dataset, <user>/<name>.
-    root: str | None = None  # Its folder, which must not exist; default: LeRobot's cache.
+    root: Path | None = None  # Its folder, which must not exist; default: LeRobot's cache.
     episodes: int = 20  # How many demonstrations.
     seed: int = 0  # Of the first one.
     variation: float = 1.0  # How much the expert's demonstrations differ: 1 as people's do, 0 not at all.
@@ -37,7 +40,16 @@ class RecordConfig:
     private: bool = False  # Make the uploaded dataset private.
     branch: str | None = None  # Upload to this branch, made if there is none; default: main.
     pull_request: bool = False  # Upload to a pull request.
-    json: str | None = None  # File for the result as JSON.
+    json: Path | None = None  # File for the result as JSON.
+    overwrite: bool = False  # Replace a JSON file that is there already; never a dataset.
+
+    def __post_init__(self) -> None:
+        check_range("--episodes", self.episodes, 1)
+        check_range("--seed", self.seed, 0)
+        check_range("--variation", self.variation, 0, 1)
+        check_overwrite(self.overwrite, self.json)
+        if self.teleop is not None and self.variation != RecordConfig.variation:
+            raise CEIError("--variation is the scripted expert's; leave it out with --teleop.")
 
 
 def record(config: RecordConfig) -> dict[str, Any]:
@@ -50,22 +62,22 @@ def record(config: RecordConfig) -> dict[str, Any]:
         CEIError: bad options, no expert, an expert that failed, or nothing to record by hand with.
         KeyboardInterrupt: Ctrl-C before the first demonstration was finished.
     """
+    from cei_converters.cli.outputs import JSON, Outputs
     from cei_converters.cli.progress import progress_bar
-    from cei_converters.cli.result import check_json_path, write_json
+    from cei_converters.cli.result import write_json
     from cei_converters.dataset import schema
     from cei_converters.dataset.hub import check_destination, check_repo_id, push
     from cei_converters.dataset.metadata import Environment
-    from cei_converters.dataset.provenance import collect
-    from cei_converters.dataset.writer import DatasetWriter
+    from cei_converters.dataset.place import check_place
+    from cei_converters.dataset.provenance import collect, command_line, published
+    from cei_converters.dataset.writer import DatasetWriter, default_root
     from cei_converters.simulation.environment import open_environment
 
-    if config.episodes < 1:
-        raise CEIError(f"--episodes={config.episodes}: record at least 1.")
-    if not 0 <= config.variation <= 1:
-        raise CEIError(f"--variation={config.variation}: from 0 to 1.")
     check_repo_id(config.repo_id)
-    check_json_path(config.json)
-    check_destination(config.push_to_hub, config.branch, config.pull_request)
+    root = Path(config.root) if config.root is not None else default_root(config.repo_id)
+    check_place(root)
+    json = Outputs(config.overwrite, root).file("--json", config.json, JSON)
+    check_destination(config.push_to_hub, config.private, config.branch, config.pull_request)
     given = {"cameras": config.cameras, "depth_noise": config.depth_noise}
     kwargs = {name: value for name, value in given.items() if value is not None}
     if config.colours:
@@ -81,12 +93,13 @@ def record(config: RecordConfig) -> dict[str, Any]:
             stack.enter_context(_on_interrupt(teleoperator.stop))
             episodes = by_hand(env, seeds, teleoperator, config.teleop)
         environment = Environment(config.env, kwargs)
+        provenance = collect(published(config), command_line("cei-record", config))
         writer = stack.enter_context(
             DatasetWriter(
                 config.repo_id,
-                config.root,
+                root,
                 environment=environment,
-                provenance=collect(config),
+                provenance=provenance,
                 state_key=schema.state_key(config.privileged_state),
             )
         )
@@ -110,7 +123,7 @@ def record(config: RecordConfig) -> dict[str, Any]:
         "successes": len(results) - len(failed),
         "results": results,
     }
-    write_json(config.json, result)
+    write_json(json, result)
     if len(results) < config.episodes:
         print(f"Interrupted after {len(results)} of {config.episodes} demonstrations, which are kept.")
     print(f"Wrote {result['successes']} demonstrations of {config.env} to {writer.root}.")
@@ -150,10 +163,10 @@ def by_hand(env, seeds: Iterable[int], teleoperator, device: str) -> Iterator[Ep
 
 @contextlib.contextmanager
 def _on_interrupt(call: Callable[[], None]) -> Iterator[None]:
-    """Have Ctrl-C and SIGTERM call a function, so that they never cut the writing of an episode in two."""
+    """Have Ctrl-C, SIGTERM and a terminal that closes call a function, so that they never cut the writing of an episode in two."""
     previous = {}
     with contextlib.suppress(ValueError):  # not in the main thread
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (each for each in signals.WORDS if signal.getsignal(each) != signal.SIG_IGN):
             previous[number] = signal.signal(number, lambda *_: call())
     try:
         yield
@@ -168,4 +181,6 @@ def main(args: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    from cei_converters import start
+
+    raise SystemExit(start.record())

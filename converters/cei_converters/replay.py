@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cei_converters.cli import DatasetConfig, SourceConfig, run
+from cei_converters.cli.options import check_overwrite, check_range, parse_episodes
 from cei_converters.simulation.stage import Stage
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
+    from cei_converters.cli.outputs import Output, Outputs
     from cei_converters.sources.reader import DatasetReader
 
 EXAMPLE = """example:
@@ -30,9 +32,19 @@ class ReplayConfig:
     env: str | None = None  # Environment id; default: the one that the dataset names.
     stock_physics: bool = False  # Without the embodiment's physics exceptions, but for those that it cannot do without.
     episodes: str | None = None  # Episodes to replay, such as 0,3,5 or 0-99; default: all.
-    video: str | None = None  # MP4 to write, with a contact sheet beside it; default: outputs/replay/<name>.mp4.
+    # MP4 to write, and a contact sheet (PNG) beside it, in place of what is there; default: outputs/replay/<name>.mp4.
+    video: Path | None = None
     video_episodes: int = 3  # How many episodes the video shows; 0 writes none.
-    json: str | None = None  # File for the result as JSON.
+    json: Path | None = None  # File for the result as JSON.
+    overwrite: bool = False  # Replace a JSON file that is there already.
+
+    def __post_init__(self) -> None:
+        parse_episodes(self.episodes)
+        check_range("--video_episodes", self.video_episodes, 0)
+        check_overwrite(self.overwrite, self.json)
+        for option, given in (("--video", self.video), ("--source.repo_id", self.source.repo_id)):
+            if self.video_episodes == 0 and given is not None:
+                raise CEIError(f"{option} is of no use with --video_episodes=0, which writes no video.")
 
 
 def replay(config: ReplayConfig) -> dict[str, Any]:
@@ -41,13 +53,13 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
     Raises:
         CEIError: bad options or data, or no environment to replay in.
     """
-    from cei_converters.cli.options import parse_episodes
+    from cei_converters.cli.outputs import JSON, Outputs
     from cei_converters.cli.progress import progress_bar
-    from cei_converters.cli.result import check_json_path, write_json
+    from cei_converters.cli.result import write_json
     from cei_converters.sources.reader import DatasetReader
 
-    check_json_path(config.json)
-    video = _video_path(config)
+    outputs = Outputs(config.overwrite)
+    json, film = outputs.file("--json", config.json, JSON), _film_of(config, outputs)
     reader = DatasetReader(config.dataset.repo_id, config.dataset.root)
     selected = reader.select(parse_episodes(config.episodes))
     with contextlib.ExitStack() as stack:
@@ -60,7 +72,7 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
         progress = stack.enter_context(progress_bar("episodes"))
         task = progress.add_task(f"replaying {reader.embodiment.name}", total=len(selected))
         for index in selected:
-            filmed = video is not None and len(films) < config.video_episodes
+            filmed = film is not None and len(films) < config.video_episodes
             entry, pictures = stage.play(reader.read(index, clouds=False), filmed)
             results.append(entry)
             if filmed:
@@ -75,12 +87,12 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
         "successes": sum(entry["success"] for entry in results),
         "interval_95": _wilson(sum(entry["success"] for entry in results), len(results)),
         "failures": dict(Counter(entry["failure"] for entry in results if not entry["success"])),
-        "video": None if video is None else str(video),
+        "video": None if film is None else str(film.video),
         "results": results,
     }
-    if video is not None:
-        _write_films(video, films, reader.fps)
-    write_json(config.json, result)
+    if film is not None:
+        _write_films(film, films, reader.fps)
+    write_json(json, result)
     _print(result)
     return result
 
@@ -117,29 +129,36 @@ def _label(reader: "DatasetReader", entry: dict[str, Any]) -> str:
     return f"{reader.embodiment.name}, episode {entry['episode']}: {verdict}"
 
 
-def _video_path(config: ReplayConfig) -> Path | None:
-    if config.video_episodes < 1:
+@dataclass(frozen=True)
+class _Film:
+    """The video that is asked for, and the contact sheet beside it."""
+
+    video: "Output"
+    sheet: "Output"
+
+
+def _film_of(config: ReplayConfig, outputs: "Outputs") -> _Film | None:
+    from cei_converters.cli.outputs import PICTURE, VIDEO
+
+    if config.video_episodes == 0:
         return None
-    if config.video is not None:
-        path = Path(config.video)
-        if path.exists():
-            raise CEIError(f"--video={config.video} already exists; choose another file or remove it first.")
-        return path
-    name = config.dataset.repo_id.split("/")[-1]
-    folder, number = Path("outputs/replay"), 1
-    while (path := folder / f"{name}{'' if number == 1 else f'-{number}'}.mp4").exists():
-        number += 1
-    return path
+    path = config.video or Path("outputs/replay", f"{config.dataset.repo_id.split('/')[-1]}.mp4")
+    video = outputs.file("--video", path, VIDEO)
+    sheet = outputs.file("the contact sheet of --video", Path(path).with_suffix(".png"), PICTURE)
+    assert video is not None and sheet is not None
+    return _Film(video, sheet)
 
 
-def _write_films(path: Path, films: list, fps: float) -> None:
+def _write_films(film: _Film, films: list, fps: float) -> None:
     from PIL import Image
 
     from cei_converters.simulation.video import contact_sheet, side_by_side, write_video
 
     frames = [frame for views, labels in films for frame in side_by_side(views, labels)]
-    write_video(path, frames, int(fps))
-    Image.fromarray(contact_sheet(*films[0])).save(path.with_suffix(".png"))
+    with film.video.whole() as partial:
+        write_video(partial, frames, int(fps))
+    with film.sheet.whole() as partial:
+        Image.fromarray(contact_sheet(*films[0])).save(partial, format="PNG")
 
 
 def _wilson(successes: int, n: int) -> tuple[float, float]:
@@ -178,4 +197,6 @@ def main(args: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    from cei_converters import start
+
+    raise SystemExit(start.replay())

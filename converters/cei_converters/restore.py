@@ -1,14 +1,15 @@
 """`cei-restore`: an edited dataset gets back what other tools have lost of it."""
 
 import shutil
-import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cei_converters import signals
 from cei_converters.cli import DatasetConfig, run
+from cei_converters.cli.options import check_overwrite
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
@@ -31,7 +32,11 @@ class RestoreConfig:
 
     dataset: DatasetConfig
     original: str | None = None  # What it was made from, folders or names, with commas between; default: <root>_old.
-    json: str | None = None  # File for the result as JSON.
+    json: Path | None = None  # File for the result as JSON.
+    overwrite: bool = False  # Replace a JSON file that is there already; never a dataset's.
+
+    def __post_init__(self) -> None:
+        check_overwrite(self.overwrite, self.json)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +75,8 @@ def restore(config: RestoreConfig) -> dict[str, Any]:
     Raises:
         CEIError: there is nothing to restore, or an episode is in none of the originals; nothing is written then.
     """
-    from cei_converters.cli.result import check_json_path, write_json
+    from cei_converters.cli.outputs import JSON, Outputs
+    from cei_converters.cli.result import write_json
     from cei_converters.dataset import identity
     from cei_converters.dataset.license import CARD_PATH
     from cei_converters.dataset.locate import locate
@@ -78,7 +84,7 @@ def restore(config: RestoreConfig) -> dict[str, Any]:
     from cei_converters.dataset.opening import load_lerobot_metadata
     from cei_converters.dataset.records import RECORDS_PATH
 
-    check_json_path(config.json)
+    json = Outputs(config.overwrite).file("--json", config.json, JSON)
     root = locate(config.dataset.repo_id, config.dataset.root)
     if root.parent.name == "snapshots":
         raise CEIError(f"{root} is the hub's cache; download the dataset to a folder, and name that by --dataset.root.")
@@ -104,7 +110,7 @@ def restore(config: RestoreConfig) -> dict[str, Any]:
             print(f"None is of {original.name}.")
     episodes = [{"original": match.original.name, "episode": match.episode} for match in matches]
     result = {"repo_id": config.dataset.repo_id, "root": str(root), "episodes": episodes}
-    write_json(config.json, result)
+    write_json(json, result)
     return result
 
 
@@ -210,11 +216,11 @@ def _write(root: Path, repo_id: str, metadata: "Metadata", matches: list[_Match]
     from cei_converters.dataset.license import merge_license_files
     from cei_converters.dataset.locate import INFO_PATH
     from cei_converters.dataset.metadata import PICTURE_PATH
+    from cei_converters.dataset.place import temporary_folder
     from cei_converters.dataset.records import ROWS, RecordWriter
 
     originals = _unique([match.original for match in matches])
-    with tempfile.TemporaryDirectory(dir=root, prefix=".restored-") as folder:
-        made = Path(folder)
+    with temporary_folder(within=root) as made:
         (made / "meta").mkdir()
         with RecordWriter(made) as records:
             for match, rows in zip(matches, digests, strict=True):
@@ -234,11 +240,12 @@ def _write(root: Path, repo_id: str, metadata: "Metadata", matches: list[_Match]
         (made / INFO_PATH).unlink()
         metadata.save(made)
         new = [path.relative_to(made) for path in sorted(made.rglob("*"), reverse=True) if path.is_file()]
-        for path in new:
-            if (root / path).exists():
-                raise CEIError(f"{root / path} exists; if it is not what belongs there, remove it first.")
-        for path in new:
-            (made / path).rename(root / path)
+        with signals.held():
+            for path in new:
+                if (root / path).exists():
+                    raise CEIError(f"{root / path} exists; if it is not what belongs there, remove it first.")
+            for path in new:
+                (made / path).rename(root / path)
 
 
 def _unique[Thing](things: Sequence[Thing]) -> list[Thing]:

@@ -1,5 +1,6 @@
 """What every CEI environment shares: observation, absolute joint actions that wait, restorable starts, pictures."""
 
+import operator
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -13,9 +14,10 @@ from cei_envs.simulation import CONTROL_HZ, Simulation
 from cei_envs.viewpoints import make_cameras
 from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
 from cei_gym.pointcloud import crop, farthest_point_sample, fuse_depth
 from cei_gym.rendering import DepthCamera, add_noise, as_noise, believed, geom_colours, shade
+from cei_gym.untrusted import finite_row
 
 CLOUD_POINTS = 1024
 MM_PER_M = np.float32(1000)
@@ -87,6 +89,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             raise CEIError(f"unknown render_mode {render_mode!r}. Valid: {self.metadata['render_modes']} or None.")
         self.embodiment: Embodiment = load_embodiment(embodiment)
         self.render_mode = render_mode
+        self._stage = "made"
         self._starts = self._checked_starts(start_qpos)
         self._max_hold_ticks = max_hold_ticks
         placed = make_cameras(cameras, image_width, image_height)
@@ -169,14 +172,21 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             options: `environment_state` (k,) restores a start exactly; `agent_pos` (n,) sets the robot's joints.
 
         Raises:
-            CEIError: an unknown option, or one of the wrong shape.
+            CEIError: an unknown option, one of the wrong shape, a seed that is none, or the environment is closed.
         """
-        super().reset(seed=seed)
+        self._check_open()
+        super().reset(seed=_checked_seed(seed))
         # A stream of its own: starts are the same with and without.
         self._noise_random = self.np_random.spawn(1)[0]
-        options = options or {}
+        options = {} if options is None else options
+        if not isinstance(options, Mapping):
+            raise CEIError(
+                f"reset options are a mapping of environment_state and agent_pos, not {one_line(options, 60)}."
+            )
         if unknown := set(options) - {"environment_state", "agent_pos"}:
-            raise CEIError(f"unknown reset option {sorted(unknown)[0]!r}. Valid: environment_state, agent_pos.")
+            raise CEIError(
+                f"unknown reset option {sorted(map(str, unknown))[0]!r}. Valid: environment_state, agent_pos."
+            )
         # Drawn also when restored, and rounded to what datasets store, so that a stored start is the very start.
         state = self._sample_state(self.np_random).astype(np.float32)
         qpos = self._sample_start(self.np_random).astype(np.float32)
@@ -187,15 +197,23 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         self._simulation.forward()
         self._target, self._stalled, self._held = qpos, 0, 0
         self._begin()
+        self._stage = "begun"
         return self._observation(), self._info()
 
     def step(self, action: np.ndarray):
-        """Drive the joints to absolute targets; returns when they are there, at rest, or out of time."""
-        action = np.asarray(action, float)
-        if action.shape != self.action_space.shape or not np.isfinite(action).all():
-            raise CEIError(
-                f"an action of {self.embodiment.name} is {len(self.embodiment.lower)} finite joint targets, not {action!r}."
-            )
+        """Drive the joints to absolute targets; returns when they are there, at rest, or out of time.
+
+        Raises:
+            CEIError: the action is not (n,) finite numbers, or no episode has begun.
+        """
+        self._check_open()
+        if self._stage == "made":
+            raise CEIError("no episode has begun: call reset() before step().")
+        try:
+            action = finite_row(action, len(self.embodiment.lower))
+        except CEIError as error:
+            n = len(self.embodiment.lower)
+            raise CEIError(f"an action of {self.embodiment.name} is {n} finite joint targets, not {error}.") from None
         self._target = np.clip(action, self.embodiment.lower, self.embodiment.upper)
         for _ in range(self._max_hold_ticks):
             before = self._simulation.qpos
@@ -211,6 +229,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
 
     def render(self) -> np.ndarray | None:
         """(240, 320, 3) uint8 picture of the scene; needs neither a display nor a GL library."""
+        self._check_open()
         if self.render_mode is None:
             return None
         if self._picture is None:
@@ -218,8 +237,10 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         return self._picture.render(self._simulation.data)
 
     def close(self) -> None:
-        """Free the simulation."""
-        self._simulation.close()
+        """Free the simulation. May be called more than once."""
+        if self._stage != "closed":
+            self._stage = "closed"
+            self._simulation.close()
 
     # -- beside Gymnasium ---------------------------------------------------------------------------------------
 
@@ -258,6 +279,10 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
 
     # -- inside -------------------------------------------------------------------------------------------------
 
+    def _check_open(self) -> None:
+        if self._stage == "closed":
+            raise CEIError("the environment is closed; make another one, with gym.make.")
+
     def _is_success(self) -> bool:
         return self._held >= HELD_TICKS
 
@@ -280,11 +305,11 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             )
         return starts
 
-    def _checked(self, options: dict[str, Any], name: str, default: np.ndarray) -> np.ndarray:
-        value = np.asarray(options.get(name, default), float)
-        if value.shape != default.shape or not np.isfinite(value).all():
-            raise CEIError(f"reset option {name!r} is {len(default)} finite numbers, not shape {value.shape}.")
-        return value
+    def _checked(self, options: Mapping[str, Any], name: str, default: np.ndarray) -> np.ndarray:
+        try:
+            return finite_row(options.get(name, default), len(default))
+        except CEIError as error:
+            raise CEIError(f"reset option {name!r} is {len(default)} finite numbers, not {error}.") from None
 
     def _arrived(self, before: np.ndarray) -> bool:
         driven, qpos = self._simulation.driven, self._simulation.qpos
@@ -316,3 +341,14 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         success = self._is_success()
         reason = "unreachable" if self._stalled >= STALLED_STEPS else self.failure_reason()
         return {"is_success": success, "failure": "" if success else reason}
+
+
+def _checked_seed(seed: Any) -> int | None:
+    """A seed as Gymnasium takes it."""
+    try:
+        found = None if seed is None else operator.index(seed)
+    except TypeError:
+        found = -1
+    if found is not None and found < 0:
+        raise CEIError(f"a seed is a whole number, at least 0, not {one_line(seed, 60)}.")
+    return found

@@ -28,4 +28,6 @@ def main(args: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    from cei_converters import start
+
+    raise SystemExit(start.benchmark())

@@ -36,7 +36,7 @@ def record_source(task: str, folder: Path, seeds: range) -> list[int]:
     if not _is_current(root):
         shutil.rmtree(root.parent, ignore_errors=True)
         try:
-            record(RecordConfig(f"CEI-{task}-{SOURCE}", _repo_id(root), str(root), len(seeds), seeds[0]))
+            record(RecordConfig(f"CEI-{task}-{SOURCE}", _repo_id(root), root, len(seeds), seeds[0]))
         except CEIError:  # the expert failed; what did succeed is there
             if not root.exists():
                 raise
@@ -70,7 +70,7 @@ def run_cell(cell: Cell, folder: Path, keep_dataset: bool) -> dict[str, Any]:
         ]
         converted = _timed(seconds, "convert", lambda: convert(parse(ConvertConfig, options, "cei-convert", "")))
         found["alignment"] = converted["results"]
-    dataset = DatasetConfig(_repo_id(root), str(root))
+    dataset = DatasetConfig(_repo_id(root), root)
     found["replay"] = _timed(seconds, "replay", lambda: replay(ReplayConfig(dataset, video_episodes=0)))
     if cell.variant == "cei":
         config = ReplayConfig(dataset, stock_physics=True, video_episodes=0)

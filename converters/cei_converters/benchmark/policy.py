@@ -10,8 +10,10 @@ from typing import Any
 
 from cei_converters.benchmark import paper
 from cei_converters.benchmark.policy_stages import BLIND, VARIANTS, PolicyCell, Stages, Training, Trials
-from cei_converters.benchmark.results import read_cell
+from cei_converters.benchmark.results import check_derived, check_folders, read_cell
 from cei_converters.cli import run
+from cei_converters.cli.options import check_range
+from cei_converters.cli.outputs import Output
 from cei_converters.cli.result import write_json
 from cei_gym.errors import CEIError, one_line, unknown
 
@@ -20,6 +22,7 @@ EXAMPLE = """example:
   cei-benchmark policy --stage=train --training.device=cuda --training.size=paper   # elsewhere; bring --work back
   cei-benchmark policy --stage=evaluate"""
 STAGES = ("all", "train", "evaluate")
+REPORT_FILES = ("policy.md", "policy.csv", "success.png", "learning.png")
 
 
 @dataclass
@@ -38,9 +41,20 @@ class PolicyBenchmarkConfig:
     training: Training = field(default_factory=Training)
     stage: str = "all"  # train stops before evaluation; evaluate trains nothing.
     jobs: int | None = None  # Cells at a time; default: one a core, or one with a GPU.
-    results: str = "results/policy"  # Folder for a JSON a cell, the table and plots.
-    work: str = "outputs/policy-benchmark"  # Folder for datasets and trainings.
+    # Folder for a JSON a cell, and for table and plots, which are made anew each time.
+    results: Path = Path("results/policy")
+    work: Path = Path("outputs/policy-benchmark")  # Folder for datasets and trainings.
     redraw: bool = False  # Run nothing: table and plots of the cells that are finished.
+
+    def __post_init__(self) -> None:
+        if self.stage not in STAGES:
+            raise unknown("--stage", self.stage, STAGES)
+        for name in ("episodes", "episode_length", "demonstrations", "training_seeds", "jobs"):
+            check_range(f"--{name}", getattr(self, name), 1)
+        check_range("--seed", self.seed, 0)
+        check_range("--variation", self.variation, 0, 1)
+        if self.redraw and (self.jobs is not None or self.stage != "all"):
+            raise CEIError("--redraw runs nothing; leave out --jobs and --stage.")
 
 
 def policy_benchmark(config: PolicyBenchmarkConfig) -> None:
@@ -49,17 +63,13 @@ def policy_benchmark(config: PolicyBenchmarkConfig) -> None:
     Raises:
         CEIError: bad options, cells of other settings in the way, or some cell failed (the others are kept).
     """
-    if config.stage not in STAGES:
-        raise unknown("--stage", config.stage, STAGES)
-    for name in ("episodes", "episode_length", "demonstrations", "training_seeds"):
-        if getattr(config, name) < 1:
-            raise CEIError(f"--{name}={getattr(config, name)}: at least 1.")
+    check_folders(config.results, config.work)
     trials = Trials(config.seed, config.episodes, config.episode_length)
-    stages = Stages(Path(config.work), config.demonstrations, config.variation, trials, config.training)
-    cells, folder, errors = list(_cells(config)), Path(config.results), []
+    stages = Stages(config.work, config.demonstrations, config.variation, trials, config.training)
+    cells, folder, errors = list(_cells(config)), config.results, []
     found = _finished(cells, stages, folder)
+    check_derived(folder, REPORT_FILES, any(folder.glob("*-*-*.json")))
     if not config.redraw:
-        folder.mkdir(parents=True, exist_ok=True)
         errors = _run([cell for cell in cells if cell not in found], stages, config)
         found = _finished(cells, stages, folder)
     if found:
@@ -118,9 +128,8 @@ def _run(cells: list[PolicyCell], stages: Stages, config: PolicyBenchmarkConfig)
                 errors.append(f"{cell.name}: {error}")
             elif result is not None:
                 date = {"date": datetime.now(UTC).isoformat(timespec="seconds")}
-                write_json(
-                    str(Path(config.results) / f"{cell.name}.json"), stages.settings(cell) | result | made_by | date
-                )
+                file = Output(config.results / f"{cell.name}.json")
+                write_json(file, stages.settings(cell) | result | made_by | date)
                 line = f"{cell.name}: {sum(result['successes'])} of {len(result['successes'])}"
                 progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
             progress.advance(bar)

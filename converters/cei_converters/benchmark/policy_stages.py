@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from cei_converters import signals
 from cei_converters.benchmark.cells import SOURCE
 from cei_converters.cli import parse
 from cei_converters.conversion.config import ConvertConfig
@@ -133,7 +134,7 @@ class Stages:
         with self._lock(source):
             if not source.exists():
                 env, count = f"CEI-{cell.task}-{SOURCE}", self._demonstrations
-                record(RecordConfig(env, _repo_id(source), str(source), count, 0, self._variation))
+                record(RecordConfig(env, _repo_id(source), source, count, 0, self._variation))
         with self._lock(converted):
             if not converted.exists():
                 options = [
@@ -236,10 +237,12 @@ class Stages:
         threads = {} if self._training.device != "cpu" else {"OMP_NUM_THREADS": "1"}
         with log.open("a") as file:
             script = Path(sys.executable).with_name(name)
-            done = subprocess.run(
-                [script, *options], stdout=file, stderr=subprocess.STDOUT, env=os.environ | threads, check=False
+            process = subprocess.Popen(
+                [script, *options], stdout=file, stderr=subprocess.STDOUT, env=os.environ | threads
             )
-        if done.returncode != 0:
+            with signals.unfinished(process.terminate):  # nobody waits for it then
+                code = process.wait()
+        if code != 0:
             raise CEIError(f"{name} failed, see {log}.")
 
     def _lock(self, path: Path) -> Lock:

@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from cei_converters.benchmark.cells import SOURCE, Cell, select
-from cei_converters.benchmark.results import Results
+from cei_converters.benchmark.results import Results, check_derived, check_folders
+from cei_converters.benchmark.tables import FILES
 from cei_converters.cli import run
+from cei_converters.cli.options import check_range
 from cei_converters.cli.table import PIPE_WIDTH
 from cei_gym.errors import CEIError
 
 EXAMPLE = """example:
   cei-benchmark replay
   cei-benchmark replay --tasks=PickCube --targets=IIWA-Inspire,UR5e-FourierRight --episodes=2 --results=outputs/smoke"""
+REPORT, HEAT_MAP = "replay.md", "heat_map.png"
 # so that the cores finish together
 LONGEST_FIRST = ("StackCube", "OpenDrawer", "PickCube")
 
@@ -31,11 +34,19 @@ class ReplayBenchmarkConfig:
     tables: str | None = None  # Such as main,ablation; default: these and sensitivity.
     tasks: str | None = None  # Such as PickCube,StackCube; default: all.
     targets: str | None = None  # Such as IIWA-Inspire,UR5e-FourierRight; default: all.
-    results: str = "results/replay"  # Folder for a JSON a cell, tables and the heat map.
-    work: str = "outputs/replay-benchmark"  # Folder for datasets.
+    # Folder for a JSON a cell, and for tables and heat map, which are made anew each time.
+    results: Path = Path("results/replay")
+    work: Path = Path("outputs/replay-benchmark")  # Folder for datasets, which are made anew there.
     jobs: int | None = None  # Cells at a time, up to 4 GB of memory each; default: one a core.
     keep_datasets: bool = False  # Keep converted datasets, not only the recorded ones.
     redraw: bool = False  # Run nothing: tables and heat map of the cells that are finished.
+
+    def __post_init__(self) -> None:
+        for name in ("episodes", "jobs"):
+            check_range(f"--{name}", getattr(self, name), 1)
+        check_range("--seed", self.seed, 0)
+        if self.redraw and (self.jobs is not None or self.keep_datasets):
+            raise CEIError("--redraw runs nothing; leave out --jobs and --keep_datasets.")
 
 
 def replay_benchmark(config: ReplayBenchmarkConfig) -> None:
@@ -44,15 +55,13 @@ def replay_benchmark(config: ReplayBenchmarkConfig) -> None:
     Raises:
         CEIError: bad options, cells of other settings in the way, or some cell failed (the others are kept).
     """
-    for name in ("episodes", "jobs"):
-        if (value := getattr(config, name)) is not None and value < 1:
-            raise CEIError(f"--{name}={value}: at least 1.")
+    check_folders(config.results, config.work)
     cells = select(config.tables, config.tasks, config.targets)
-    results = Results(Path(config.results), range(config.seed, config.seed + config.episodes))
+    results = Results(config.results, range(config.seed, config.seed + config.episodes))
     finished = results.read_all()  # the others too: all of them make the tables
+    check_derived(results.folder, (REPORT, HEAT_MAP, *FILES.values()), bool(finished))
     errors = []
     if not config.redraw:
-        results.folder.mkdir(parents=True, exist_ok=True)
         errors = _run([cell for cell in cells if cell not in finished], results, config)
     for error in errors:
         print(f"error: {error}", file=sys.stderr)
@@ -68,7 +77,7 @@ def _run(cells: list[Cell], results: Results, config: ReplayBenchmarkConfig) -> 
     from cei_converters.cli.progress import progress_bar
     from cei_converters.dataset.provenance import PACKAGES, git_commit, versions
 
-    folder = Path(config.work) / f"{config.seed}-{config.episodes}"
+    folder = config.work / f"{config.seed}-{config.episodes}"
     jobs = []
     for task in sorted({cell.task for cell in cells}, key=LONGEST_FIRST.index):
         then = tuple(Job(c.name, run_cell, (c, folder, config.keep_datasets)) for c in cells if c.task == task)
@@ -123,10 +132,10 @@ def _draw(results: Results) -> None:
         raise CEIError(f"no cell is finished in {results.folder}.")
     text = markdown(found)
     write_csv(found, results.folder)
-    (results.folder / "replay.md").write_text(text + "\n")
-    write_heat_map(found, results.folder / "heat_map.png")
+    (results.folder / REPORT).write_text(text + "\n")
+    write_heat_map(found, results.folder / HEAT_MAP)
     Console(width=None if sys.stdout.isatty() else PIPE_WIDTH).print(Markdown(text))
-    print(f"Wrote replay.md, heat_map.png and CSV tables to {results.folder}.")
+    print(f"Wrote {REPORT}, {HEAT_MAP} and CSV tables to {results.folder}.")
 
 
 def main(args: list[str] | None = None) -> int:

@@ -1,13 +1,15 @@
 """The folder of finished cells, one JSON each, all made from the same demonstrations."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cei_converters.benchmark.cells import VARIANTS, Cell, all_cells
+from cei_converters.cli.outputs import Output
 from cei_converters.cli.result import write_json
+from cei_converters.dataset.place import check_parent
 from cei_gym.errors import CEIError, one_line
 
 
@@ -52,7 +54,7 @@ class Results:
 
     def write(self, cell: Cell, result: dict[str, Any]) -> None:
         """Keep a cell, in one go."""
-        write_json(str(self.path(cell)), self.settings(cell) | result)
+        write_json(Output(self.path(cell)), self.settings(cell) | result)
 
 
 def read_cell(path: Path, settings: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -75,3 +77,31 @@ def read_cell(path: Path, settings: Mapping[str, Any]) -> dict[str, Any] | None:
                 "remove it or choose another folder with --results."
             )
     return found
+
+
+def check_folders(results: Path, work: Path) -> None:
+    """Check that files can be made in both.
+
+    Raises:
+        CEIError: one can be no folder, or must not be written to.
+    """
+    for option, folder in (("--results", results), ("--work", work)):
+        check_parent(folder / "x", f"{option}={folder}")
+
+
+def check_derived(folder: Path, derived: Iterable[str], finished: bool) -> None:
+    """Check that what is made of cells replaces nothing else.
+
+    Args:
+        folder: for results.
+        derived: names of files that are made of all cells, each time anew.
+        finished: whether there are finished cells in it.
+
+    Raises:
+        CEIError: there are such files but no cell.
+    """
+    for name in derived:
+        if not finished and (folder / name).exists():
+            raise CEIError(
+                f"{folder / name} is there, but no finished cell, so it may be somebody's; choose other --results."
+            )

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cei_converters import signals
 from cei_converters.cli import quiet_libraries
 from cei_gym.errors import CEIError, one_line
 
@@ -46,14 +47,16 @@ def run_jobs(jobs: Sequence[Job], workers: int) -> Generator[Outcome]:
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, initializer=_start_worker) as pool:
-        running = {pool.submit(_guarded, job): job for job in jobs}
+        with signals.spared():  # until they see to it themselves
+            running = {pool.submit(_guarded, job): job for job in jobs}
         try:
             while running:
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     job = running.pop(future)
                     result, error = future.result()
                     if error is None:
-                        running |= {pool.submit(_guarded, following): following for following in job.then}
+                        with signals.spared():
+                            running |= {pool.submit(_guarded, following): following for following in job.then}
                     yield Outcome(job, result, error)
         except BrokenProcessPool:
             raise CEIError("a worker died, maybe for lack of memory; run again, with fewer --jobs.") from None

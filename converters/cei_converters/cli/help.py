@@ -26,6 +26,8 @@ def explain(parser: argparse.ArgumentParser, config_cls: type) -> None:
             name = action.option_strings[0].removeprefix("--")
             if name in notes:
                 action.help = notes[name].replace("%", "%%")
+            elif name == "config_path":
+                action.help = "YAML file with options, a key each; those of the command line win."
             elif (action.help or "").startswith("Config file for"):
                 action.help = argparse.SUPPRESS
             if action.default is None:

@@ -1,6 +1,10 @@
 """Values of command-line options that draccus has no type for."""
 
+import dataclasses
 import re
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
+from typing import Any
 
 import numpy as np
 
@@ -66,3 +70,50 @@ def parse_numbers(option: str, text: str, example: str) -> list[float]:
     if len(numbers) != len(example.split(",")) or not np.isfinite(numbers).all():
         raise CEIError(f"{option}={text} should read like {example}.")
     return numbers
+
+
+def check_range(option: str, value: float | None, least: float, most: float = np.inf) -> None:
+    """Check that a number is in a range; None is.
+
+    Raises:
+        CEIError: it is not.
+    """
+    if value is not None and not least <= value <= most:
+        up_to = f" and at most {most:g}" if most < np.inf else ""
+        raise CEIError(f"{option}={value} should be at least {least:g}{up_to}.")
+
+
+def check_overwrite(overwrite: bool, *results: object) -> None:
+    """Check that `--overwrite` has something to replace.
+
+    Raises:
+        CEIError: no file of results is asked for.
+    """
+    if overwrite and all(result is None for result in results):
+        raise CEIError("--overwrite is of no use without a file of results, such as --json.")
+
+
+def changed(options: Any, prefix: str = "") -> Iterator[str]:
+    """Dotted names of options (a dataclass) that have not their default."""
+    for field in dataclasses.fields(options):
+        value, name = getattr(options, field.name), prefix + field.name
+        if dataclasses.is_dataclass(value):
+            yield from changed(value, f"{name}.")
+        elif value != field.default:
+            yield name
+
+
+def check_of_use(options: Any, idle: Mapping[str, str]) -> None:
+    """Check that no option is given that changes nothing.
+
+    Args:
+        options: a dataclass.
+        idle: patterns of options that do not matter beside the others, and why, such as "without --x".
+
+    Raises:
+        CEIError: naming the option, and why it does not.
+    """
+    for name in changed(options):
+        for pattern, why in idle.items():
+            if fnmatchcase(name, pattern):
+                raise CEIError(f"--{name} is of no use {why}; leave it out.")

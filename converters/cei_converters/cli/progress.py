@@ -1,5 +1,8 @@
 """One progress bar for every command: what, how many, time spent and left; silent where there is no terminal."""
 
+import contextlib
+from collections.abc import Iterator
+
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -10,9 +13,12 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from cei_converters import signals
 
-def progress_bar(unit: str) -> Progress:
-    """A progress bar that counts `unit`s; use it as a context manager."""
+
+@contextlib.contextmanager
+def progress_bar(unit: str) -> Iterator[Progress]:
+    """A progress bar that counts `unit`s. However the block ends, the terminal has its cursor back."""
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
@@ -23,4 +29,6 @@ def progress_bar(unit: str) -> Progress:
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    with signals.unfinished(progress.stop), progress:
+        yield progress

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 CHOICES = ("all", "state", "box", "segmentation")
 RAMPS = ("approach", "episode")
+_MOST_PLACES = 100_000
 
 
 @dataclass
@@ -85,8 +86,9 @@ class AugmentOptions:
             return []
         nx, ny = parse_numbers("--augment.grid", self.grid, "10,10")
         x_m, y_m = parse_numbers("--augment.range", self.range, "0.2,0.2")
-        if min(nx, ny) < 1 or nx % 1 or ny % 1:
-            raise CEIError(f"--augment.grid={self.grid}: whole numbers of places along x and y, at least 1.")
+        if min(nx, ny) < 1 or nx % 1 or ny % 1 or nx * ny > _MOST_PLACES:
+            what = f"whole numbers of places along x and y, at least 1, and {_MOST_PLACES} in all at most"
+            raise CEIError(f"--augment.grid={self.grid}: {what}.")
         if min(x_m, y_m) < 0:
             raise CEIError(f"--augment.range={self.range} must not be negative.")
         return grid_offsets((int(nx), int(ny)), (x_m, y_m))

@@ -1,13 +1,16 @@
 """Options of a conversion, and what can be said against them before any work."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from cei_converters.cli import DatasetConfig
+from cei_converters.cli.options import check_of_use, check_overwrite, check_range, parse_episodes, parse_pose
 from cei_converters.conversion.augment import AugmentOptions
+from cei_converters.conversion.executors import NAMES as EXECUTORS
 from cei_converters.conversion.executors import SlurmOptions, check_executor
 from cei_converters.conversion.gate import Gate
 from cei_converters.conversion.verify import VerifyOptions
-from cei_gym.alignment import ContactOptions, InitialisationOptions, PaperOptions, SolverOptions
+from cei_gym.alignment import ContactOptions, InitialisationOptions, SolverOptions
 from cei_gym.errors import CEIError, unknown
 from cei_gym.pointcloud import CloudOptions
 from cei_gym.transfer import TransferOptions
@@ -20,13 +23,13 @@ class ConvertConfig:
     dataset: DatasetConfig
     target: str  # Embodiment to convert to, <Arm>-<EndEffector>.
     new_repo_id: str | None = None  # Name of the converted dataset, <user>/<name>.
-    new_root: str | None = None  # Its folder, which must not exist; default: LeRobot's cache.
+    new_root: Path | None = None  # Its folder, which must not exist; default: LeRobot's cache.
     source: str | None = None  # Embodiment of a dataset that does not say it (no meta/cei.json).
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
-    calibration: str | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See above.
-    joint_map: str | None = None  # YAML that tells which columns of a dataset are which joints. See above.
+    calibration: Path | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See above.
+    joint_map: Path | None = None  # YAML that tells which columns of a dataset are which joints. See above.
     check_clouds: bool = True  # Refuse clouds that do not show the source where its joints say.
-    package_path: str | None = None  # Folders to look for robots' ROS packages in, separated by colons.
+    package_path: list[Path] | None = None  # Folders to look for robots' ROS packages in, separated by colons.
     target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
@@ -38,7 +41,8 @@ class ConvertConfig:
     private: bool = False  # Make the uploaded dataset private.
     branch: str | None = None  # Upload to this branch, made if there is none; default: main.
     pull_request: bool = False  # Upload to a pull request.
-    json: str | None = None  # File for the result as JSON.
+    json: Path | None = None  # File for the result as JSON.
+    overwrite: bool = False  # Replace a JSON file that is there already; never a dataset.
     workers: int | None = None  # Episodes that are moved at the same time; default: one a core.
     executor: str = "local"  # Who converts: local (this machine), slurm or ray; the dataset is the same.
     slurm: SlurmOptions = field(default_factory=SlurmOptions)
@@ -52,43 +56,86 @@ class ConvertConfig:
     augment: AugmentOptions = field(default_factory=AugmentOptions)  # Objects elsewhere, with --augment.grid.
     verify: VerifyOptions = field(default_factory=VerifyOptions)  # Replay and retry, with --verify.
 
+    def __post_init__(self) -> None:
+        parse_episodes(self.episodes)
+        parse_pose("--source_pose", self.source_pose)
+        parse_pose("--target_pose", self.target_pose)
+        check_range("--workers", self.workers, 1)
+        check_range("--shard_episodes", self.shard_episodes, 1)
+        check_overwrite(self.overwrite, self.json)
+        _ = self.gate  # which checks itself
+        if self.executor not in EXECUTORS:
+            raise unknown("executor", self.executor, EXECUTORS)
+        if self.dry_run:
+            for option, why in _NOT_DRY.items():
+                if getattr(self, option):
+                    raise CEIError(f"--dry_run {why} --{option}; leave one out.")
+            if self.executor == "slurm":
+                raise CEIError("--dry_run is done at once, here; leave out --executor=slurm.")
+        if self.augment.enabled and not self.clouds.swap:
+            raise CEIError(
+                "--clouds.swap=false keeps the source in the clouds, which --augment.grid cannot move; leave one out."
+            )
+        check_of_use(self, _idle(self))
+
     @property
     def gate(self) -> Gate:
         """What `min_quality` and `flag` ask for."""
         return Gate(self.min_quality, self.flag)
 
 
+_NOT_DRY = {
+    "push_to_hub": "writes nothing, so there is nothing for",
+    "resume": "keeps nothing that could be gone on with, by",
+}
+
+
+def _idle(config: ConvertConfig) -> dict[str, str]:
+    """Patterns of options that change nothing beside the others, and why."""
+    idle = {}
+    if config.executor != "slurm":
+        idle["slurm.*"] = "without --executor=slurm"
+    if config.solver.backend != "paper":
+        idle["solver.paper.*"] = "without --solver.backend=paper"
+    else:
+        second_order = ("temporal_weight", "smoothness_weight", "iterations")
+        idle |= dict.fromkeys((f"solver.{name}" for name in second_order), "with --solver.backend=paper")
+    if config.transfer.method == "bms":
+        followed = ("init.*", "contact.*", "solver.backend", "solver.iterations", "solver.*_weight", "transfer.stretch")
+        idle |= dict.fromkeys(followed, "with --transfer.method=bms, which follows no pads")
+    if config.init.method != "eis":
+        idle["init.draws"] = "without --init=eis"
+    if config.init.method == "given":
+        idle |= dict.fromkeys(("init.starts", "init.seed"), "with --init=given")
+    if config.contact.opposition_weight == 0:
+        weights = ("facing", "approach", "turning", "carrying", "posture")
+        idle |= dict.fromkeys((f"contact.{name}_weight" for name in weights), "with --contact.opposition_weight=0")
+    if not config.clouds.swap:
+        put_in = ("robot_points", "voxel_m", "seen_only")
+        idle |= dict.fromkeys((f"clouds.{name}" for name in put_in), "with --clouds.swap=false, which puts no robot in")
+    if config.augment.rotation_deg == 0:
+        idle["augment.seed"] = "without --augment.rotation_deg"
+    if config.augment.objects != "state":
+        idle["augment.half_m"] = "without --augment.objects=state"
+    return idle
+
+
 def check_options(config: ConvertConfig) -> None:
-    """Fail before any work is done, not after it."""
+    """Fail before any work is done, not after it, if what options name is not there.
+
+    Raises:
+        CEIError: an embodiment, an executor, a login is missing.
+    """
+    from cei_converters.dataset.hub import check_destination, check_repo_id
     from cei_gym.embodiment import embodiment_names
 
     for name in (config.target, config.source):
         if name is not None and name not in embodiment_names():
             raise unknown("embodiment", name, embodiment_names())
-    if config.workers is not None and config.workers < 1:
-        raise CEIError(f"--workers={config.workers} must be at least 1.")
     check_executor(config.executor, config.slurm)
-    Gate(config.min_quality, config.flag)
-    if config.solver.backend != "paper" and config.solver.paper != PaperOptions():
-        raise CEIError("--solver.paper.* are of no use without --solver.backend=paper.")
-    if config.dry_run and config.executor == "slurm":
-        raise CEIError("--dry_run is done at once, here; leave out --executor=slurm.")
-    if config.shard_episodes < 1:
-        raise CEIError(f"--shard_episodes={config.shard_episodes} must be at least 1.")
-    if config.dry_run and config.push_to_hub:
-        raise CEIError("--dry_run writes nothing, so there is nothing for --push_to_hub; leave one out.")
-    if config.dry_run and config.resume:
-        raise CEIError("--dry_run keeps nothing that --resume could go on with; leave one out.")
-    if config.augment.enabled and not config.clouds.swap:
-        raise CEIError(
-            "--clouds.swap=false keeps the source in the clouds, which --augment.grid cannot move; leave one out."
-        )
+    check_repo_id(config.dataset.repo_id)
     if not config.dry_run:
-        from cei_converters.dataset.hub import check_repo_id
-
         if config.new_repo_id is None:
             raise CEIError("--new_repo_id=<user>/<name> is required, or --dry_run.")
         check_repo_id(config.new_repo_id)
-    from cei_converters.dataset.hub import check_destination
-
-    check_destination(config.push_to_hub, config.branch, config.pull_request)
+    check_destination(config.push_to_hub, config.private, config.branch, config.pull_request)

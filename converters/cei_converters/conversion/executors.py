@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cei_gym.errors import CEIError, unknown
+from cei_converters import signals
+from cei_gym.errors import CEIError
 
 NAMES = ("local", "slurm", "ray")
 START = "forkserver"
@@ -31,18 +32,20 @@ class SlurmOptions:
     mem_gb: int = 8
     qos: str = "normal"
 
+    def __post_init__(self) -> None:
+        if self.mem_gb < 1:
+            raise CEIError(f"--slurm.mem_gb={self.mem_gb} should be at least 1.")
+
 
 def check_executor(name: str, slurm: SlurmOptions) -> None:
     """Fail before any work is done, not after it.
 
     Raises:
-        CEIError: it is unknown, or what it needs is not there.
+        CEIError: what it needs is not there.
     """
     import importlib.util
     import shutil
 
-    if name not in NAMES:
-        raise unknown("executor", name, NAMES)
     if name == "slurm":
         if slurm.partition is None:
             raise CEIError("--executor=slurm needs --slurm.partition.")
@@ -55,8 +58,11 @@ def check_executor(name: str, slurm: SlurmOptions) -> None:
 def run_local(task: Callable, tasks: int, workers: int, logs: Path) -> None:
     """In processes of this machine; returns when they are done."""
     from datatrove.executor import LocalPipelineExecutor
+    from multiprocess import forkserver
 
     quiet()
+    with signals.spared():
+        forkserver.ensure_running()
     with _children_leave():
         LocalPipelineExecutor([task], tasks, workers, str(logs), skip_completed=False, start_method=START).run()
 
@@ -111,7 +117,8 @@ def warm_up(*modules: str) -> None:
     from multiprocess import forkserver
 
     multiprocess.get_context(START).set_forkserver_preload(list(modules))  # pyright: ignore[reportAttributeAccessIssue]
-    forkserver.ensure_running()
+    with signals.spared():
+        forkserver.ensure_running()
 
 
 @contextlib.contextmanager

@@ -1,8 +1,7 @@
 """What a conversion is: decided once, before the first shard, and the same for every worker and every resumption."""
 
 import json
-import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,14 @@ from cei_converters.dataset.metadata import Provenance, plain
 from cei_gym.alignment import Basin
 from cei_gym.errors import CEIError
 
-# what may differ from one run to the next without changing what becomes of the dataset
-_UPLOAD = ("push_to_hub", "private", "branch", "pull_request")
-_INCIDENTAL = ("workers", "executor", "slurm", "shard_episodes", "resume", "json", *_UPLOAD)
+BY_CONTENT = ("calibration", "joint_map")
+"""Options that name files."""
+
+WHERE = ("package_path",)
+"""Options that say where to look for what has a fingerprint anyway."""
+
+DECIDED = ("basins", "gate", "verify.dropped")
+"""What provenance has among the options of a finished conversion that nobody gave; see `assemble`."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class Plan:
     """A conversion.
 
     Attributes:
-        config: its options, files by absolute path.
+        config: its options, paths absolute.
         provenance: of the run that began it.
         finalists: what `Transfer.fit` found.
         frames: of each episode to convert, as recorded.
@@ -59,45 +63,60 @@ class Plan:
         except (OSError, ValueError, DraccusException) as error:
             raise CEIError(f"{path} is damaged; remove {path.parent} and begin anew.") from error
 
-    def check_same(self, config: ConvertConfig, provenance: Provenance, where: Path) -> None:
-        """Check that what was begun is what is wanted now.
+    def check_same(self, wanted: Provenance, where: Path) -> None:
+        """Check that what was begun is what is wanted now, made by the same code of the same content.
 
         Raises:
             CEIError: naming what differs.
         """
         anew = f"; to begin anew, remove {where}."
-        begun, wanted = (_flat(plain(_essential(c))) for c in (self.config, config))
-        for option in sorted(begun.keys() | wanted.keys()):
-            if (before := begun.get(option)) != (now := wanted.get(option)):
-                raise CEIError(f"--resume: --{option} was {before}, now it is {now}; give what was given before{anew}")
-        ours, theirs = self.provenance, provenance
-        assert ours.source is not None and theirs.source is not None
-        if ours.source.fingerprint != theirs.source.fingerprint:
-            raise CEIError(f"--resume: {config.dataset.repo_id} has changed since the conversion began{anew}")
-        before = {**ours.versions, "commit": ours.git_commit}
-        now = {**theirs.versions, "commit": theirs.git_commit}
+        check_same(self.provenance, wanted, anew)
+        before = {**self.provenance.versions, "commit": self.provenance.git_commit}
+        now = {**wanted.versions, "commit": wanted.git_commit}
         for name in sorted(before.keys() | now.keys()):
             if before.get(name) != now.get(name):
                 raise CEIError(f"--resume: begun with {name} {before.get(name)}, this is {now.get(name)}{anew}")
 
 
+def check_same(begun: Provenance, wanted: Provenance, anew: str) -> None:
+    """Check that two conversions have the same options and are made of the same content, wherever it is and whatever its files are called.
+
+    Args:
+        begun: of the one that is there, finished or not.
+        wanted: of the one that is asked for.
+        anew: what else can be done, for the message.
+
+    Raises:
+        CEIError: naming what differs.
+    """
+    before, now = (_compared(p.options) | {"dataset.repo_id": p.source and p.source.repo_id} for p in (begun, wanted))
+    for option in sorted(before.keys() | now.keys()):
+        if (was := before.get(option)) != (it_is := now.get(option)):
+            raise CEIError(f"--resume: --{option} was {was}, now it is {it_is}; give what was given before{anew}")
+    before, now = ({"dataset": p.source and p.source.fingerprint, **p.inputs} for p in (begun, wanted))
+    for name in sorted(before.keys() | now.keys()):
+        if before.get(name) != now.get(name):
+            what = wanted.source.repo_id if name == "dataset" and wanted.source is not None else f"the {name}"
+            raise CEIError(f"--resume: {what} has changed since the conversion began{anew}")
+
+
 def absolute(config: ConvertConfig, dataset_root: Path) -> ConvertConfig:
     """Options that mean the same in other folders and on other machines with the same disks."""
-    dataset = replace(config.dataset, root=str(dataset_root.resolve()))
-    files = {name: getattr(config, name) for name in ("calibration", "joint_map")}
-    packages = config.package_path and os.pathsep.join(
-        str(Path(folder).expanduser().resolve()) for folder in config.package_path.split(os.pathsep) if folder
-    )
-    files = {name: path and str(Path(path).resolve()) for name, path in files.items()}
-    return replace(config, dataset=dataset, package_path=packages, **files)
+    found = {f.name: value for f in fields(config) if isinstance(value := getattr(config, f.name), (Path, list))}
+    paths = {name: _resolved(value) for name, value in found.items()}
+    return replace(config, **paths, dataset=replace(config.dataset, root=dataset_root.resolve()))
 
 
-def _essential(config: ConvertConfig) -> ConvertConfig:
-    return replace(config, **dict.fromkeys(_INCIDENTAL))
+def _resolved(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_resolved(item) for item in value]
+    return value.resolve() if isinstance(value, Path) else value
 
 
-def _flat(options: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat = {}
-    for name, value in options.items():
-        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+def _compared(options: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Options by their dotted names, without what was decided on the way, and without files, which are compared by their content."""
+    flat: dict[str, Any] = {}
+    for key, value in options.items():
+        if (name := prefix + key) not in (*BY_CONTENT, *WHERE, *DECIDED):
+            flat |= _compared(value, f"{name}.") if isinstance(value, dict) else {name: value}
     return flat

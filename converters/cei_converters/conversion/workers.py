@@ -129,6 +129,7 @@ def _watching(place: Workplace, plan: Plan, done: Callable[[int], None], mortal:
     try:
         yield
     except _WorkerLost:
+        place.check_noted()  # where an episode is wrong, the pool ends the other workers
         message = "a worker was killed, maybe for want of memory; go on with --resume, and maybe fewer --workers."
         raise OSError(message) from None
     finally:

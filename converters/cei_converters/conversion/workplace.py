@@ -1,14 +1,13 @@
 """Where a conversion keeps what it has done until its dataset is published: a hidden folder beside that."""
 
-import contextlib
 import shutil
 import sys
 from pathlib import Path
 from typing import Self
 
-from filelock import FileLock, Timeout
-
+from cei_converters import signals
 from cei_converters.conversion.shard import Shard
+from cei_converters.dataset.place import PLAN, HiddenFolder, remove
 from cei_gym.errors import CEIError
 
 
@@ -27,43 +26,24 @@ class Workplace:
     """
 
     def __init__(self, root: Path, resume: bool) -> None:
-        root = root.absolute()
-        self.root, self._resume, self._kept, self._begun = root, resume, False, False
-        self.folder = _hidden(root)
-        self.plan = self.folder / "plan.json"
+        self._hidden = HiddenFolder(root, "cei-convert")
+        self.root, self.folder = self._hidden.root, self._hidden.path
+        self._resume, self._kept = resume, False
+        self.plan = self.folder / PLAN
         self.shards = self.folder / "shards"
         self.logs = self.folder / "logs"
         self.dataset = self.folder / "dataset"
-        self._new_folders: list[Path] = []
+        self._left, self._token = False, object()
 
     def __enter__(self) -> Self:
-        if self.root.exists():
-            raise CEIError(f"{self.root} already exists; choose another folder or remove it first.")
-        self._new_folders = [f for f in (self.folder, *self.folder.parents) if not f.exists()]
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self._lock = FileLock(self.folder / "lock")
+        self._token = signals.begin(lambda: self._leave(KeyboardInterrupt))
         try:
-            self._lock.acquire(timeout=0)
-        except Timeout:
-            raise CEIError(f"another cei-convert is making {self.root}; choose another folder.") from None
-        try:
-            if self.root.exists():  # finished by the other just now
-                raise CEIError(f"{self.root} already exists; choose another folder or remove it first.")
-            if self.plan.exists() and not self._resume:
-                raise CEIError(
-                    f"a conversion to {self.root} was begun and not finished; go on with --resume, or remove {self.folder}."
-                )
-        except CEIError:
-            if not self.plan.exists():
-                shutil.rmtree(self.folder, ignore_errors=True)
-            self._lock.release()
+            self._hidden.acquire(self._resume)
+        except Exception:
+            signals.end(self._token)
             raise
-        self._begun = self.plan.exists()
-        for path in self.folder.iterdir():
-            if path.name != "lock" and not self._begun:
-                _remove(path)
         for path in (*self.shards.glob(".*"), *self.folder.glob("error-*")):  # of workers that were killed, or failed
-            _remove(path)
+            remove(path)
         return self
 
     def keep(self) -> None:
@@ -82,13 +62,20 @@ class Workplace:
             OSError: workers did not make one, and left no reason.
         """
         missing = [shard for shard in range(shards) if not self.shard(shard).exists()]
-        for shard in missing:
-            if (noted := self._error(shard)).exists():
-                raise CEIError(noted.read_text())
         if missing:
+            self.check_noted()
             raise OSError(
                 f"{len(missing)} of {shards} shards were not converted; see {self.logs}, and go on with --resume."
             )
+
+    def check_noted(self) -> None:
+        """Check that no worker left word.
+
+        Raises:
+            CEIError: what is wrong with an episode.
+        """
+        for noted in sorted(self.folder.glob("error-*")):
+            raise CEIError(noted.read_text())
 
     def note_error(self, shard: int, error: Exception) -> None:
         """Leave word of what is wrong with an episode, for another process to tell."""
@@ -110,30 +97,15 @@ class Workplace:
         return self.shards / f"{shard:06d}"
 
     def __exit__(self, kind: type[BaseException] | None, error: object, trace: object) -> None:
+        self._leave(kind)
+        signals.end(self._token)
+
+    def _leave(self, kind: type[BaseException] | None) -> None:
         interrupted = kind is not None and issubclass(kind, (KeyboardInterrupt, OSError))
-        keep = self._kept or (interrupted and any(self.shards.glob("[0-9]*"))) or (kind is not None and self._begun)
-        if keep and interrupted:
+        keep = (
+            self._kept or (interrupted and any(self.shards.glob("[0-9]*"))) or (kind is not None and self._hidden.begun)
+        )
+        if keep and interrupted and not self._left:
             print(f"What is done is kept in {self.folder}: the same command with --resume goes on.", file=sys.stderr)
-        if not keep:
-            shutil.rmtree(self.folder, ignore_errors=True)
-        self._lock.release()
-        if not keep:
-            for folder in self._new_folders:
-                with contextlib.suppress(OSError):  # not empty: the dataset is in it
-                    folder.rmdir()
-
-
-def tidy(root: Path) -> None:
-    """Remove what is left beside a finished dataset, of a process that was killed as soon as it had published it."""
-    folder = _hidden(root.absolute())
-    if folder.exists():
-        with contextlib.suppress(Timeout), FileLock(folder / "lock", timeout=0):  # else it is about to do so itself
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def _hidden(root: Path) -> Path:
-    return root.parent / f".{root.name}.partial"
-
-
-def _remove(path: Path) -> None:
-    shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
+        self._left = True
+        self._hidden.release(keep)

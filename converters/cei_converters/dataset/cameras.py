@@ -1,5 +1,6 @@
 """RGB cameras of a dataset that is converted: their pictures pass through untouched, as they show the source robot."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -75,8 +76,18 @@ def read_pictures(root: Path, meta: Any, index: int, keys: Sequence[str]) -> Pic
     for key in images:
         if not all(encoded_images(cells[key], f"episode {index}, {key}")):
             raise CEIError(f"episode {index}, {key}: a picture is missing; download or record the dataset again.")
+        cells[key] = _without_folders(cells[key])
     clips = {key: find_clip(root, meta, index, key) for key in keys if key in meta.video_keys}
     return Pictures(cells, clips, _statistics(root, meta, index, keys))
+
+
+def _without_folders(cells: Any) -> pa.Array:
+    """Encoded images whose `path`, which nobody reads, is a name: it may say where they were on the machine that recorded them."""
+    fields = {field.name: cells.field(i) for i, field in enumerate(cells.type)}
+    paths = fields["path"].to_pylist() if "path" in fields else []
+    names = [re.split(r"[/\\]", path)[-1] if isinstance(path, str) else None for path in paths or [None] * len(cells)]
+    encoded = fields["bytes"].cast(pa.binary())
+    return pa.StructArray.from_arrays([encoded, pa.array(names, pa.string())], names=["bytes", "path"])
 
 
 def find_clip(root: Path, meta: Any, index: int, key: str) -> Clip:

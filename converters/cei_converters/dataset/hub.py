@@ -43,7 +43,7 @@ def check_login() -> None:
         raise CEIError("--push_to_hub needs a login; run `hf auth login` or set HF_TOKEN.")
 
 
-def check_destination(push_to_hub: bool, branch: str | None, pull_request: bool) -> None:
+def check_destination(push_to_hub: bool, private: bool, branch: str | None, pull_request: bool) -> None:
     """Check options of an upload, and that it could be authorised.
 
     Raises:
@@ -51,8 +51,8 @@ def check_destination(push_to_hub: bool, branch: str | None, pull_request: bool)
     """
     if branch is not None and pull_request:
         raise CEIError("--branch and --pull_request are two ways not to change main; give one.")
-    if (branch is not None or pull_request) and not push_to_hub:
-        raise CEIError("--branch and --pull_request are of no use without --push_to_hub.")
+    if (private or branch is not None or pull_request) and not push_to_hub:
+        raise CEIError("--private, --branch and --pull_request are of no use without --push_to_hub.")
     if push_to_hub:
         check_login()
 

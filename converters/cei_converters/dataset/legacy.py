@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ def upgrade(root: Path, version: str) -> Path:
     """
     from lerobot.utils.constants import HF_LEROBOT_HOME
 
+    from cei_converters.dataset.place import temporary_folder
     from cei_converters.dataset.provenance import fingerprint
 
     if missing := [name for name in _META[:2] if not (root / "meta" / name).is_file()]:
@@ -41,8 +41,8 @@ def upgrade(root: Path, version: str) -> Path:
         return upgraded
     print(f"{root} is of an older format; a v3.0 copy is made in {upgraded}.")
     upgraded.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=upgraded.parent, prefix=".") as folder:
-        staged, made = Path(folder, "v21"), Path(folder, "v30")
+    with temporary_folder(upgraded.parent) as folder:
+        staged, made = folder / "v21", folder / "v30"
         try:
             _stage(root, staged)
             _convert(staged, made)

@@ -67,6 +67,7 @@ class Provenance:
 
     source: Source | None = None
     options: dict[str, Any] = field(default_factory=dict)
+    inputs: dict[str, str] = field(default_factory=dict)  # what else it is made of, to its fingerprint
     pads: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
     git_commit: str | None = None

@@ -1,7 +1,6 @@
 """Write demonstrations as a LeRobot v3.0 dataset, all or nothing."""
 
 import contextlib
-import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from cei_converters import signals
 from cei_converters.dataset import schema
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.card import write_card
@@ -19,6 +19,7 @@ from cei_converters.dataset.episodes import EncodedEpisode, EpisodeWriter, encod
 from cei_converters.dataset.essentials import with_essentials
 from cei_converters.dataset.identity import digest
 from cei_converters.dataset.metadata import Environment, Metadata, Provenance, check_scene
+from cei_converters.dataset.place import HiddenFolder, absent, publish
 from cei_converters.dataset.records import ROWS, RecordWriter
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
@@ -58,7 +59,7 @@ class Header:
 class DatasetWriter:
     """Context manager that writes episodes one at a time.
 
-    Files go to a hidden sibling of `root`, which becomes `root` when the block ends well and is removed when
+    Files go to a hidden folder beside `root`, whence they move when the block ends well and are removed when
     it does not. Embodiment, scene, rate and features are those of the first episode; others must match them.
 
     Args:
@@ -69,7 +70,7 @@ class DatasetWriter:
         provenance: how they came about.
         state_key: where `add` puts the state of objects, one of `schema.STATES_OF_OBJECTS`.
         cameras: LeRobot's features of cameras whose pictures pass through.
-        partial: folder for unfinished files, on the same disk; default: a hidden sibling of `root`.
+        partial: folder for unfinished files, on the same disk; default: one in a `HiddenFolder`.
 
     Attributes:
         environment, provenance: as given; the former's start and the latter may be completed until the block ends.
@@ -93,19 +94,24 @@ class DatasetWriter:
         self.provenance = provenance or Provenance()
         self._clouds, self._state_key = clouds, state_key
         self._cameras = dict(cameras or {})
-        self._partial = partial or self.root.parent / f".{self.root.name}.partial-{os.getpid()}"
-        self._new_folders: list[Path] = []
+        self._hidden = HiddenFolder(self.root, "cei-record") if partial is None else None
+        self._partial = partial or HiddenFolder(self.root, "cei-record").path / "dataset"
+        self._token = object()
         self._header: Header | None = None
         self._episodes: EpisodeWriter | None = None
         self._records: RecordWriter | None = None
         self._count = 0
 
     def __enter__(self) -> Self:
-        if self.root.exists():
-            raise CEIError(f"{self.root} already exists; choose another folder or remove it first.")
-        folders = (self.root.parent, *self.root.parent.parents)
-        self._new_folders = [folder for folder in folders if not folder.exists()]
-        self.root.parent.mkdir(parents=True, exist_ok=True)
+        self._token = signals.begin(self._leave)
+        try:
+            if self._hidden is None:
+                absent(self.root)
+            else:
+                self._hidden.acquire()
+        except Exception:
+            signals.end(self._token)
+            raise
         if self._partial.exists():  # of a process that was killed
             shutil.rmtree(self._partial)
         return self
@@ -177,15 +183,18 @@ class DatasetWriter:
             if error is None:
                 self._finish()
         finally:
-            if self._episodes is not None:
-                self._episodes.finalize()
+            self._leave()
+            signals.end(self._token)
+
+    def _leave(self) -> None:
+        with contextlib.ExitStack() as each:  # is done whatever becomes of the others, last first
+            if self._hidden is not None:
+                each.callback(self._hidden.release, keep=False)
+            each.callback(shutil.rmtree, self._partial, ignore_errors=True)
             if self._records is not None:
-                self._records.close()
-            if self._partial.exists():
-                shutil.rmtree(self._partial)
-            for folder in self._new_folders:
-                with contextlib.suppress(OSError):  # not empty: the dataset is in it
-                    folder.rmdir()
+                each.callback(self._records.close)
+            if self._episodes is not None:
+                each.callback(self._episodes.finalize)
 
     def _finish(self) -> None:
         if self._header is None or self._episodes is None or self._records is None:
@@ -196,9 +205,7 @@ class DatasetWriter:
         metadata = self._metadata()
         metadata.save(self._partial)
         write_card(self._partial, self.repo_id, metadata)
-        if self.root.exists():
-            raise CEIError(f"{self.root} came into being meanwhile; choose another folder.")
-        self._partial.rename(self.root)
+        publish(self._partial, self.root)
 
 
 def _check_same(first: Header, other: Header, where: str) -> None:

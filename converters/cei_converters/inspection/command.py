@@ -1,9 +1,11 @@
 """`cei-inspect`: what is in a dataset, what is wrong with it, and which of its columns are which joints."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from cei_converters.cli import DatasetConfig, run
+from cei_converters.cli.options import check_overwrite, check_range
 from cei_converters.sources import joint_map, pose
 from cei_gym.errors import CEIError
 
@@ -25,13 +27,25 @@ class InspectConfig:
 
     dataset: DatasetConfig
     source: str | None = None  # Embodiment to propose a joint map for.
-    joint_map: str | None = None  # Joint map to check.
-    save_map: str | None = None  # YAML file for the proposed joint map.
+    joint_map: Path | None = None  # Joint map to check.
+    save_map: Path | None = None  # YAML file for the proposed joint map.
     episodes: int = 8  # Episodes to look at, spread over the dataset.
     state: str = "observation.state"  # LeRobot's feature with the positions.
     action: str = "action"  # LeRobot's feature with the targets.
-    package_path: str | None = None  # Folders to look for robots' ROS packages in, separated by colons.
-    json: str | None = None  # File for the result as JSON.
+    package_path: list[Path] | None = None  # Folders to look for robots' ROS packages in, separated by colons.
+    json: Path | None = None  # File for the result as JSON.
+    overwrite: bool = False  # Replace a JSON file or a joint map that is there already.
+
+    def __post_init__(self) -> None:
+        check_range("--episodes", self.episodes, 1)
+        check_overwrite(self.overwrite, self.json, self.save_map)
+        if self.joint_map is not None:
+            if self.save_map is not None:
+                raise CEIError("--joint_map is a map already; leave out --save_map.")
+            if (self.state, self.action) != (InspectConfig.state, InspectConfig.action):
+                raise CEIError("--joint_map says which features it maps; leave out --state and --action.")
+        if self.save_map is not None and self.source is None:
+            raise CEIError("--save_map needs --source=<Arm>-<EndEffector>: whose joints they are.")
 
 
 def inspect(config: InspectConfig) -> dict[str, Any]:
@@ -45,7 +59,8 @@ def inspect(config: InspectConfig) -> dict[str, Any]:
     """
     import yaml
 
-    from cei_converters.cli.result import check_json_path, check_new, write_json
+    from cei_converters.cli.outputs import JOINT_MAP, JSON, Outputs
+    from cei_converters.cli.result import write_json
     from cei_converters.cli.table import print_table
     from cei_converters.inspection.findings import check_map, look_at, problems, propose
     from cei_converters.sources.formats import read_recordings
@@ -53,16 +68,13 @@ def inspect(config: InspectConfig) -> dict[str, Any]:
     from cei_gym.embodiment import load_embodiment, use_package_path
 
     use_package_path(config.package_path)
-    check_json_path(config.json)
-    file = check_new("--save_map", config.save_map, ".yaml")
-    if config.episodes < 1:
-        raise CEIError(f"--episodes={config.episodes}: at least 1.")
-    if config.joint_map is not None and config.save_map is not None:
-        raise CEIError("--joint_map is a map already; leave out --save_map.")
-    if config.save_map is not None and config.source is None:
-        raise CEIError("--save_map needs --source=<Arm>-<EndEffector>: whose joints they are.")
+    outputs = Outputs(config.overwrite)
+    json = outputs.file("--json", config.json, JSON)
+    file = outputs.file("--save_map", config.save_map, JOINT_MAP)
     mapped = None if config.joint_map is None else load_joint_map(config.joint_map)
     name = config.source or (mapped.embodiment if mapped is not None else None)
+    if mapped is not None and mapped.embodiment not in (None, name):
+        raise CEIError(f"{config.joint_map} is a map of {mapped.embodiment}; leave out --source={config.source}.")
     if mapped is not None and name is None:
         raise CEIError("the joint map does not name its embodiment; give --source=<Arm>-<EndEffector>.")
     embodiment = None if name is None else load_embodiment(name)
@@ -85,16 +97,17 @@ def inspect(config: InspectConfig) -> dict[str, Any]:
         text = yaml.safe_dump(proposal, sort_keys=False, default_flow_style=None)
         print(f"Proposed joint map, a guess to be checked:\n{text}")
         if file is not None:
-            file.write_text(f"# Proposed by cei-inspect for {config.dataset.repo_id}: a guess; check it.\n{text}")
+            with file.whole() as partial:
+                partial.write_text(
+                    f"# Proposed by cei-inspect for {config.dataset.repo_id}: a guess; check it.\n{text}"
+                )
     result = {"columns": columns, "problems": found, "proposal": proposal}
-    write_json(config.json, result)
+    write_json(json, result)
+    if file is not None and proposal is None:
+        raise CEIError(f"there is no joint map to save, so {file} is not made.")
     return result
 
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of `cei-inspect`."""
     return run(InspectConfig, inspect, args, prog="cei-inspect", example=EXAMPLE)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -12,8 +12,7 @@ GAP_PX = 4
 
 def write_video(path: Path, frames: Iterable[np.ndarray], fps: int) -> None:
     """Write RGB frames (H, W, 3) uint8, all of one even size, as MP4 that browsers play."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
+    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=fps, options={"crf": "23", "preset": "veryfast"})
         stream.pix_fmt = "yuv420p"
         for frame in frames:

@@ -10,6 +10,7 @@ from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.joint_map import load_joint_map
 from cei_converters.sources.recording import Recordings
 from cei_converters.sources.source import Source
+from cei_gym.errors import CEIError
 
 
 def open_source(
@@ -35,6 +36,8 @@ def open_source(
         CEIError: whatever is wrong with it, in one line.
     """
     mapped = None if joint_map is None else load_joint_map(joint_map)
+    if mapped is not None and embodiment is not None and mapped.embodiment not in (None, embodiment):
+        raise CEIError(f"{joint_map} is a map of {mapped.embodiment}, not of {embodiment}; leave --source out.")
     options: dict[str, Any] = {
         "embodiment": embodiment or (mapped and mapped.embodiment),
         "T_world_base": T_world_base,
@@ -65,8 +68,10 @@ def read_recordings(
         state, action: LeRobot's features to look at.
 
     Raises:
-        CEIError: it cannot be read.
+        CEIError: it cannot be read, or has no features to choose.
     """
+    if (_is_hdf5(root) or _is_zarr(root)) and (state != schema.STATE or action not in (None, schema.ACTION)):
+        raise CEIError(f"{root} has none of LeRobot's features to look at; leave out --state and --action.")
     if _is_hdf5(root):
         from cei_converters.sources.robomimic import recordings
 

@@ -258,7 +258,7 @@ def recordings(repo_id: str, root: str | Path | None, most: int, state: str, act
 
     def episodes() -> Iterator[Recording]:
         for index in spread(meta.total_episodes, most):
-            table = read_columns(folder, meta, index, [state, *([action] if action else []), "timestamp"])
+            table = read_columns(folder, meta, index, list(dict.fromkeys(filter(None, (state, action, "timestamp")))))
             found = {
                 key: decode_array(table[key], meta.features[key], f"episode {index}, {key}").astype(float)
                 for key in table.column_names

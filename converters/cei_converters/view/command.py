@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cei_converters.cli import DatasetConfig, SourceConfig, run
+from cei_converters.cli.options import check_overwrite, check_range
 from cei_gym.errors import CEIError
 
 EXAMPLE = """example:
@@ -18,33 +19,49 @@ EXAMPLE = """example:
 
 
 @dataclass
+class MappedSourceConfig(SourceConfig):
+    """The dataset that another was converted from, to show beside it."""
+
+    joint_map: Path | None = None  # Its joint map, if it was converted with one.
+
+
+@dataclass
 class ViewConfig:
     """Show an episode's robot, pads, clouds, cameras and joints over time, in rerun's viewer or in a file."""
 
     dataset: DatasetConfig
-    source: SourceConfig = field(default_factory=SourceConfig)  # Shown beside it, with how far the pads are apart.
-    joint_map: str | None = None  # Of a dataset that was recorded elsewhere; see cei-convert --help.
+    source: MappedSourceConfig = field(
+        default_factory=MappedSourceConfig
+    )  # Shown beside it, with how far the pads are apart.
+    joint_map: Path | None = None  # Of a dataset that was recorded elsewhere; see cei-convert --help.
     episode: int = 0  # Which episode of the dataset.
-    rrd: str | None = None  # Recording to write instead of opening the viewer.
-    sheet: str | None = None  # Contact sheet (PNG) to write instead of opening the viewer.
-    package_path: str | None = None  # Folders to look for robots' ROS packages in, separated by colons.
-    json: str | None = None  # File for the result as JSON.
+    rrd: Path | None = None  # Recording to write instead of opening the viewer, in place of what is there.
+    sheet: Path | None = None  # Contact sheet (PNG) to write instead of opening the viewer, in place of what is there.
+    package_path: list[Path] | None = None  # Folders to look for robots' ROS packages in, separated by colons.
+    json: Path | None = None  # File for the result as JSON.
+    overwrite: bool = False  # Replace a JSON file that is there already.
+
+    def __post_init__(self) -> None:
+        check_overwrite(self.overwrite, self.json)
+        check_range("--episode", self.episode, 0)
 
 
 def view(config: ViewConfig) -> dict[str, Any]:
     """Show an episode; returns what was shown, and the residuals if its source was shown too.
 
     Raises:
-        CEIError: bad options or data, a file that exists, or a viewer without a display.
+        CEIError: bad options or data, a file that must not be replaced, or a viewer without a display.
     """
-    from cei_converters.cli.result import check_json_path, check_new, write_json
+    from cei_converters.cli.outputs import JSON, PICTURE, RECORDING, Outputs
+    from cei_converters.cli.result import write_json
     from cei_converters.sources.formats import open_source
     from cei_converters.view.episode import load_view
     from cei_gym.embodiment import use_package_path
 
     use_package_path(config.package_path)
-    check_json_path(config.json)
-    rrd, sheet = check_new("--rrd", config.rrd, ".rrd"), check_new("--sheet", config.sheet, ".png")
+    outputs = Outputs(config.overwrite)
+    json = outputs.file("--json", config.json, JSON)
+    rrd, sheet = outputs.file("--rrd", config.rrd, RECORDING), outputs.file("--sheet", config.sheet, PICTURE)
     opens_viewer = rrd is None and sheet is None
     if opens_viewer and not _has_display():
         raise CEIError(
@@ -58,11 +75,11 @@ def view(config: ViewConfig) -> dict[str, Any]:
     if rrd is not None:
         from cei_converters.view.recording import save
 
-        save(shown, rrd)
+        save(shown, rrd.path)
     if sheet is not None:
         from cei_converters.view.sheet import write_sheet
 
-        write_sheet(shown, sheet)
+        write_sheet(shown, sheet.path)
     if opens_viewer:
         from cei_converters.view.recording import open_viewer
 
@@ -76,8 +93,8 @@ def view(config: ViewConfig) -> dict[str, Any]:
         "rrd": config.rrd,
         "sheet": config.sheet,
     }
-    write_json(config.json, result)
-    _print(shown.title, [path for path in (rrd, sheet) if path is not None])
+    write_json(json, result)
+    _print(shown.title, [output.path for output in (rrd, sheet) if output is not None])
     return result
 
 

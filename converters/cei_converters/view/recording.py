@@ -2,15 +2,16 @@
 
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from trimesh.visual import ColorVisuals
 
-from cei_converters.cli.result import whole
+from cei_converters import signals
+from cei_converters.cli.outputs import whole
 from cei_converters.dataset import schema
+from cei_converters.dataset.place import temporary_folder
 from cei_converters.view.episode import NORMAL_M, RESIDUALS, Side, View
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError
@@ -29,7 +30,6 @@ def save(view: View, path: Path) -> None:
     import rerun as rr
 
     rr.set_strict_mode(True)  # a mistake is an error, not a warning
-    path.parent.mkdir(parents=True, exist_ok=True)
     with whole(path) as partial:
         recording = rr.RecordingStream(APPLICATION)
         recording.send_recording_name(view.title)
@@ -44,10 +44,13 @@ def open_viewer(view: View) -> None:
     Raises:
         CEIError: the viewer fails, as it does where it finds no display.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{APPLICATION}.rrd"
+    with temporary_folder() as folder:
+        path = folder / f"{APPLICATION}.rrd"
         save(view, path)
-        if subprocess.run([sys.executable, "-m", "rerun", path], check=False).returncode != 0:
+        viewer = subprocess.Popen([sys.executable, "-m", "rerun", path])
+        with signals.unfinished(viewer.terminate):
+            code = viewer.wait()
+        if code != 0:
             raise CEIError("rerun's viewer failed; save --rrd=<file>.rrd or --sheet=<file>.png instead.")
 
 

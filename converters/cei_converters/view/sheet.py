@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from cei_converters.cli.result import whole
+from cei_converters.cli.outputs import whole
 from cei_converters.view.episode import NORMAL_M, RESIDUALS, Side, View
 from cei_gym.demonstration import Camera
 from cei_gym.rendering import Portrait, look_at, splat
@@ -32,7 +32,6 @@ _GREY = (150, 150, 150)
 def write_sheet(view: View, path: Path) -> None:
     """Write a PNG."""
     figure = _sheet(view)
-    path.parent.mkdir(parents=True, exist_ok=True)
     with whole(path) as partial:
         figure.savefig(partial, format="png", dpi=_DPI)
 
