@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from cei_converters.dataset.writer import DatasetWriter
 from cei_converters.inspection.command import main as inspect
+from cei_converters.sources.binding import bind
 from cei_converters.sources.formats import open_source
-from cei_converters.sources.joint_map import JointMap, bind, load_joint_map
+from cei_converters.sources.joint_map import JointMap, load_joint_map
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError

@@ -54,6 +54,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.executors import warm_up
     from cei_converters.conversion.outcomes import account, residuals
+    from cei_converters.conversion.survey import LOWEST, survey
     from cei_converters.conversion.workers import convert_shards, processes_for
     from cei_converters.conversion.workplace import Workplace
 
@@ -69,14 +70,20 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         converter = stack.enter_context(Converter(config))
         reader = converter.reader
         reader.check_videos(sorted(set(converter.selected)))
-        print(_about_cameras(reader, bool(converter.cameras)))
+        print("\n".join([_about_cameras(reader, bool(converter.cameras)), *_about_columns(reader)]))
         local = config.executor == "local"
         workers = config.workers or (local and os.cpu_count()) or len(converter.selected)
         if local and processes_for(workers, -(-len(converter.selected) // config.shard_episodes)) > 1:
             warm_up("cei_converters.conversion.preloaded")
         frames = [reader.frames(index) for index in converter.selected]
         progress = stack.enter_context(progress_bar("frames"))
-        task = progress.add_task("choosing the start", total=sum(frames))
+        task = progress.add_task("reading joints", total=sum(frames))
+        table_z_m = survey(reader, converter.selected, lambda done: progress.advance(task, done))
+        if table_z_m is not None:
+            reader.set_table(table_z_m, LOWEST)
+            config = replace(config, table_z_m=table_z_m)
+            progress.console.print(_about_table(table_z_m), highlight=False, soft_wrap=True)
+        progress.reset(task, description="choosing the start")
         plan = _planned(config, place, converter, frames)
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
             return _submitted(config, place, missing)
@@ -92,7 +99,9 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "dry_run": config.dry_run,
             "depth_cameras": list(reader.depth_cameras),
             "passed_through": list(converter.cameras),
-            "ignored_features": reader.ignored_features,
+            "carried_features": list(reader.carried),
+            "dropped_features": reader.dropped,
+            "table": {"z_m": reader.scene.support_z_m, "said_by": reader.table_from},
             "episodes": len(told.entries),
             "frames": sum(entry["frames"] for entry in told.entries),
             "results": told.entries,
@@ -214,6 +223,22 @@ def _about_cameras(reader: "Recorded", pass_through: bool) -> str:
     return f"{clouds}; passed through untouched, so they still show the source robot: {', '.join(reader.cameras)}."
 
 
+def _about_columns(reader: "Recorded") -> list[str]:
+    """A line each: which features are carried over as they are, and which are not, and why."""
+    lines = [f"Carried over as they are: {', '.join(reader.carried)}."] if reader.carried else []
+    reasons: dict[str, list[str]] = {}
+    for name, reason in reader.dropped.items():
+        reasons.setdefault(reason, []).append(name)
+    return [*lines, *(f"Not carried over, {reason}: {', '.join(names)}." for reason, names in reasons.items())]
+
+
+def _about_table(z_m: float) -> str:
+    return (
+        f"warning: nothing says where the table is, so it is taken to be at {z_m:g} m (world), where the source's lowest point was; if it is "
+        "elsewhere, give --table_z_m, or a --calibration with workspace_world."
+    )
+
+
 def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
     from cei_converters.dataset.license import source_license
     from cei_converters.dataset.metadata import Source
@@ -227,6 +252,8 @@ def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
         revision=_revision(reader.root) if config.dataset.root is None else None,
         fingerprint=fingerprint(reader.root),
         depth_cameras=reader.depth_cameras,
+        carried=tuple(reader.carried),
+        dropped=dict(reader.dropped),
         **source_license(reader.root),
     )
     options = {
@@ -234,6 +261,8 @@ def _provenance(config: ConvertConfig, reader: "Recorded") -> "Provenance":
         "target_pose": config.target_pose,
         **({"calibration": Path(config.calibration).name} if config.calibration else {}),
         **({"joint_map": load_joint_map(config.joint_map)} if config.joint_map else {}),
+        "table": {"z_m": reader.scene.support_z_m, "said_by": reader.table_from},
+        **({"drop_features": config.drop_features} if config.drop_features else {}),
         "episodes": config.episodes,
         "allow_unreachable": config.allow_unreachable,
         **config.gate.bounds,

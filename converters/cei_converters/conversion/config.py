@@ -1,5 +1,6 @@
 """Options of a conversion, and what can be said against them before any work."""
 
+import math
 from dataclasses import dataclass, field
 
 from cei_converters.cli import DatasetConfig
@@ -25,6 +26,12 @@ class ConvertConfig:
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
     calibration: str | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See above.
     joint_map: str | None = None  # YAML that tells which columns of a dataset are which joints. See above.
+    table_z_m: float | None = (
+        None  # Height of the table, world, m; default: the workspace's floor, else the source's lowest point.
+    )
+    drop_features: str | None = (
+        None  # Features not to carry over (cei-convert says which it does), such as next.reward,next.done.
+    )
     target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
@@ -64,6 +71,8 @@ def check_options(config: ConvertConfig) -> None:
             raise unknown("embodiment", name, embodiment_names())
     if config.workers is not None and config.workers < 1:
         raise CEIError(f"--workers={config.workers} must be at least 1.")
+    if config.table_z_m is not None and not math.isfinite(config.table_z_m):
+        raise CEIError(f"--table_z_m={config.table_z_m} should be a finite number of metres.")
     check_executor(config.executor, config.slurm)
     Gate(config.min_quality, config.flag)
     if config.dry_run and config.executor == "slurm":

@@ -3,8 +3,8 @@
 import contextlib
 import os
 import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,6 +14,7 @@ import numpy as np
 from cei_converters.dataset import schema
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.card import write_card
+from cei_converters.dataset.carried import Carried
 from cei_converters.dataset.columns import encode
 from cei_converters.dataset.episodes import EncodedEpisode, EpisodeWriter, encode_episode
 from cei_converters.dataset.metadata import Environment, Metadata, Provenance, check_scene
@@ -65,6 +66,8 @@ class DatasetWriter:
         environment: what the episodes replay in.
         provenance: how they came about.
         cameras: LeRobot's features of cameras whose pictures pass through.
+        carried: LeRobot's features of what is carried over.
+        tasks: those that have numbers already, in their order; others follow.
         partial: folder for unfinished files, on the same disk; default: a hidden sibling of `root`.
 
     Attributes:
@@ -79,13 +82,15 @@ class DatasetWriter:
         environment: Environment | None = None,
         provenance: Provenance | None = None,
         cameras: Mapping[str, dict] | None = None,
+        carried: Mapping[str, dict] | None = None,
+        tasks: Sequence[str] = (),
         partial: Path | None = None,
     ) -> None:
         self.repo_id = repo_id
         self.root = Path(root) if root is not None else default_root(repo_id)
         self.environment = environment or Environment()
         self.provenance = provenance or Provenance()
-        self._cameras = dict(cameras or {})
+        self._cameras, self._carried, self._tasks = dict(cameras or {}), dict(carried or {}), list(tasks)
         self._partial = partial or self.root.parent / f".{self.root.name}.partial-{os.getpid()}"
         self._new_folders: list[Path] = []
         self._header: Header | None = None
@@ -104,7 +109,11 @@ class DatasetWriter:
         return self
 
     def add(
-        self, demonstration: Demonstration, record: dict[str, Any] | None = None, pictures: Pictures | None = None
+        self,
+        demonstration: Demonstration,
+        record: dict[str, Any] | None = None,
+        pictures: Pictures | None = None,
+        carried: Carried | None = None,
     ) -> None:
         """Write one episode.
 
@@ -112,6 +121,7 @@ class DatasetWriter:
             demonstration: the episode.
             record: what `meta/cei_episodes.jsonl` shall keep of it (seed, quality, ...).
             pictures: what cameras saw in these frames, if any pass through.
+            carried: what else there is of these frames.
 
         Raises:
             CEIError: the episode does not match the first one, or a depth is out of range.
@@ -119,7 +129,7 @@ class DatasetWriter:
         episode = encode_episode(
             encode(demonstration), (header := Header.of(demonstration)).features, demonstration.task
         )
-        self.append(header, episode, record, pictures)
+        self.append(header, episode, record, pictures, carried)
 
     def append(
         self,
@@ -127,6 +137,7 @@ class DatasetWriter:
         episode: EncodedEpisode,
         record: dict[str, Any] | None = None,
         pictures: Pictures | None = None,
+        carried: Carried | None = None,
     ) -> None:
         """Write one episode that is encoded already; see `add`."""
         if self._header is None:
@@ -134,20 +145,19 @@ class DatasetWriter:
         else:
             _check_same(self._header, header, f"episode {self._count}")
         assert self._episodes is not None and self._records is not None
-        self._episodes.add(episode, pictures)
+        self._episodes.add(episode, pictures, _encoded(carried, self._carried))
         self._records.add(record or {})
         self._count += 1
 
     def _start(self, header: Header) -> None:
-        if header.fps != int(header.fps):
-            raise CEIError(f"fps {header.fps} is not an integer, as LeRobot requires.")
         check_scene(header.scene, "episode 0")
         self._episodes = EpisodeWriter(
             self.repo_id,
             self._partial,
-            fps=int(header.fps),
-            features=header.features | self._cameras,
+            fps=int(header.fps) if header.fps == int(header.fps) else header.fps,
+            features=header.features | self._cameras | self._carried,
             robot_type=header.embodiment,
+            tasks=self._tasks,
         )
         self._records = RecordWriter(self._partial)
         self._header = header
@@ -188,6 +198,10 @@ class DatasetWriter:
         self._partial.rename(self.root)
 
 
+def _encoded(carried: Carried | None, features: Mapping[str, dict]) -> EncodedEpisode | None:
+    return None if carried is None else replace(carried.encode(features), tasks=carried.tasks)
+
+
 def _check_same(first: Header, other: Header, where: str) -> None:
     for what in ("embodiment", "fps"):
         ours, theirs = getattr(first, what), getattr(other, what)
@@ -205,6 +219,7 @@ def _same_scene(a: Scene, b: Scene) -> bool:
     return (
         np.allclose(a.T_world_base, b.T_world_base)
         and np.allclose(a.workspace_world, b.workspace_world)
+        and a.support_z_m == b.support_z_m
         and len(a.cameras) == len(b.cameras)
         and all(
             (one.name, one.width, one.height) == (other.name, other.width, other.height)

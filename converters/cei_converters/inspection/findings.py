@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from cei_converters.sources.joint_map import JointMap, bind
+from cei_converters.sources.binding import bind
+from cei_converters.sources.joint_map import JointMap
 from cei_converters.sources.recording import Recordings
 from cei_gym.embodiment import Embodiment
 

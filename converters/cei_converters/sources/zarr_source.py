@@ -6,21 +6,23 @@ from typing import Any
 import numpy as np
 
 from cei_converters.dataset.opening import embodiment_without_metadata
+from cei_converters.sources.actions import BoundActions, action_map, bind_actions
+from cei_converters.sources.binding import bind
 from cei_converters.sources.calibration import Calibration
-from cei_converters.sources.joint_map import JointMap, bind
+from cei_converters.sources.joint_map import ActionMap, JointMap
 from cei_converters.sources.recording import Recording, Recordings, spread
-from cei_converters.sources.source import Source, check_cloud, scene_without_metadata
+from cei_converters.sources.source import Source, check_cloud, scene_without_metadata, table_from
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError, one_line
 
-_STATE, _CLOUD, _ENDS = "data/state", "data/point_cloud", "meta/episode_ends"
+_STATE, _ACTION, _CLOUD, _ENDS = "data/state", "data/action", "data/point_cloud", "meta/episode_ends"
 
 
 class ZarrSource(Source):
     """Episodes of a zarr group with `data/state`, maybe `data/point_cloud`, and `meta/episode_ends`.
 
-    Columns are named by their numbers, so that a joint map is needed. Actions are the next frame's state: those
-    recorded are of whatever controller there was.
+    Columns are named by their numbers, so that a joint map is needed. Actions are the next frame's state, as those recorded are of
+    whatever controller there was; but where the joint map says what they are, they are `data/action`.
 
     Args:
         repo_id, root, embodiment, T_world_base, calibration, joint_map: see `open_source`.
@@ -47,10 +49,35 @@ class ZarrSource(Source):
         self.fps = joint_map.fps
         self.embodiment = embodiment_without_metadata(self.root, embodiment)
         self.scene = scene_without_metadata(T_world_base, calibration)
+        self.table_from = table_from(calibration)
         self._state, self._bounds = _state(self.root)
         self._cloud = _array(self.root, _CLOUD, ndim=3) if _has(self.root, _CLOUD) else None
         self.has_clouds = self._cloud is not None
-        self._bound = bind(joint_map, self.embodiment, [str(i) for i in range(self._state.shape[1])])
+        columns = [str(i) for i in range(self._state.shape[1])]
+        self._bound = bind(joint_map, self.embodiment, columns)
+        self._values, self._actions = self._bind_actions(joint_map, columns)
+        used = {_STATE, _CLOUD, _ENDS, *([_ACTION] if self._actions is not None else [])}
+        reason = {_ACTION: "of whatever controller there was; a joint map may say what they are"}
+        self.carried = {}
+        self.dropped = {
+            name: reason.get(name, "there is no reader for it in zarr")
+            for name in _names(self.root)
+            if name not in used
+        }
+
+    def _bind_actions(self, joint_map: JointMap, columns: list[str]) -> tuple[Any, BoundActions | None]:
+        said = action_map(joint_map, None)
+        if said is None:
+            return None, None
+        said = ActionMap(said.feature or _ACTION, said.kind, said.joints, said.ignore)
+        assert said.feature is not None
+        if said.feature != _ACTION:
+            raise CEIError(f"{self.root} has no {said.feature!r} for actions; zarr groups have them in {_ACTION!r}.")
+        values = _array(self.root, _ACTION, ndim=2)
+        if values.shape[0] != self._state.shape[0]:
+            raise CEIError(f"{self.root}: {_ACTION} has {values.shape[0]} rows, but {_STATE} {self._state.shape[0]}.")
+        own = [str(i) for i in range(values.shape[1])]
+        return values, bind_actions(said, self.embodiment, own, joint_map, columns)
 
     def __len__(self) -> int:
         return len(self._bounds) - 1
@@ -62,16 +89,17 @@ class ZarrSource(Source):
     def read(self, index: int, *, clouds: bool = True, colours: bool = True) -> Demonstration:
         """One episode; see `Source.read`."""
         self.select([index])
-        rows, cloud = slice(self._bounds[index], self._bounds[index + 1]), None
+        rows, cloud, values = slice(self._bounds[index], self._bounds[index + 1]), None, None
         try:
             state = self._state[rows]
+            values = None if self._values is None else self._values[rows]
             if clouds and self._cloud is not None:
                 cloud = check_cloud(self._cloud[rows], len(state), f"episode {index}")
         except (OSError, ValueError, RuntimeError) as error:
             if isinstance(error, CEIError):
                 raise
             raise CEIError(f"{self.root}, episode {index}, cannot be read ({one_line(error)}).") from error
-        joints = self.joints(state, None, index, self._bound)
+        joints = self.joints(state, values, index, self._bound, self._actions)
         return Demonstration(
             embodiment=self.embodiment.name,
             fps=self.fps,
@@ -103,6 +131,16 @@ def _state(root: Path) -> tuple[Any, np.ndarray]:
     if not len(ends) or (np.diff(bounds) <= 0).any() or bounds[-1] != state.shape[0]:
         raise CEIError(f"{root}: {_ENDS} should rise to the {state.shape[0]} frames of {_STATE}, not {ends}.")
     return state, bounds
+
+
+def _names(root: Path) -> list[str]:
+    """Arrays in `data`."""
+    found = (
+        [path.name for path in (root / "data").iterdir() if not path.name.startswith(".")]
+        if (root / "data").is_dir()
+        else []
+    )
+    return [f"data/{name}" for name in sorted(found) if _has(root, f"data/{name}")]
 
 
 def _has(root: Path, name: str) -> bool:
