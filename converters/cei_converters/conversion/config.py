@@ -26,12 +26,8 @@ class ConvertConfig:
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
     calibration: str | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See above.
     joint_map: str | None = None  # YAML that tells which columns of a dataset are which joints. See above.
-    table_z_m: float | None = (
-        None  # Height of the table, world, m; default: the workspace's floor, else the source's lowest point.
-    )
-    drop_features: str | None = (
-        None  # Features not to carry over (cei-convert says which it does), such as next.reward,next.done.
-    )
+    table_z_m: float | None = None  # World, m; default: the workspace's floor, else the source's lowest point.
+    drop_features: str | None = None  # What not to carry over of what it says it does, such as next.reward,next.done.
     target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.
     dry_run: bool = False  # Align and report, write no dataset.

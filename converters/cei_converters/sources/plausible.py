@@ -20,7 +20,7 @@ _UNRELATED = (
 _WHILE = 5  # frames: a robot is some behind its targets
 _RESTS = 1e-4  # rad a frame
 _LEAST_FPS = 6.0  # below, a change a frame and one a second are too much alike
-_RATIO = 0.3  # of a finger's motion, toward where it is told to be
+_AWAY = 0.7  # of a finger's motion, away from where it is told to be
 _NULL = "action: null takes the next frame's state instead."
 _SEE_MAP = f"A joint map says what they are under action (see cei-convert --help); {_NULL}"
 
@@ -196,24 +196,27 @@ def _check_fingers(actions: BoundActions, values: np.ndarray, u: np.ndarray, fin
     lower, upper = body.independent_limits
     a, change = actions.absolute(values)[:-1], np.diff(u, axis=0)
     for j in fingers:
-        kind = actions.kinds[j]
+        kind, extent = actions.kinds[j], float(upper[j] - lower[j])
         if kind == OPEN_CLOSE:
             toward = a[:, j] * (closed[j] - home[j])
         elif kind == ABSOLUTE:
             toward = a[:, j] - u[:-1, j]
+            toward = np.where(
+                np.abs(toward) < 0.1 * extent, 0.0, toward
+            )  # what follows it closely may be a little behind or ahead
         else:
             continue
-        moved = np.abs(change[:, j]).sum()
-        if moved < 0.5 * (upper[j] - lower[j]) or (kind == OPEN_CLOSE and closed[j] == home[j]):
+        moved = np.where(toward == 0, 0.0, np.abs(change[:, j]))
+        if moved.sum() < 0.5 * extent:
             continue
-        share = float(np.abs(change[:, j])[toward * change[:, j] > 0].sum() / moved)
-        if share < _RATIO:
+        away = float(moved[toward * change[:, j] < 0].sum() / moved.sum())
+        if away > _AWAY:
             s, o = actions.scale[j], actions.offset[j]
             stored = (
                 f"[{(1 - o) / s:g}, {(-1 - o) / s:g}]" if kind == OPEN_CLOSE else "[what is stored to open, to close]"
             )
             raise CEIError(
-                f"{where}: {names[j]} goes where it is told to in {100 * share:.0f} % of its motion only: open and close are exchanged. "
+                f"{where}: {names[j]} goes the other way than it is told to in {100 * away:.0f} % of its motion: open and close are exchanged. "
                 f"A joint map says so by a group under action: joints: with kind: {OPEN_CLOSE}, range: {stored}."
             )
 

@@ -254,25 +254,18 @@ def recordings(repo_id: str, root: str | Path | None, most: int, state: str, act
     """Columns of some episodes; see `read_recordings`."""
     folder = locate(repo_id, root)
     meta = load_lerobot_metadata(repo_id, folder)
-    for key in filter(None, (state, action)):
-        if key not in meta.features:
-            raise CEIError(f"{folder.name} has no feature {key!r}. It has: {', '.join(meta.features)}.")
-    shape = tuple(meta.features[state]["shape"])
-    if len(shape) != 1:
-        raise CEIError(f"{state} should be one row of numbers a frame, not {shape}.")
-    same = action is not None and tuple(meta.features[action]["shape"]) == shape
+    names = _columns(meta.features, state, folder)
+    action_names = [] if action is None else _columns(meta.features, action, folder)
+    keys = [key for key in dict.fromkeys((state, action, "timestamp", "frame_index")) if key is not None]
 
     def episodes() -> Iterator[Recording]:
         for index in spread(meta.total_episodes, most):
-            table = read_columns(folder, meta, index, [state, *([action] if action else []), "timestamp"])
+            table = read_columns(folder, meta, index, keys)
             found = {
                 key: decode_array(table[key], meta.features[key], f"episode {index}, {key}").astype(float)
                 for key in table.column_names
             }
-            times_s = found["timestamp"].ravel() if "timestamp" in found else None
-            yield Recording(found[state], found[action] if same and action else None, times_s)
+            times_s, numbers = (found[key].ravel() if key in found else None for key in ("timestamp", "frame_index"))
+            yield Recording(index, found[state], None if action is None else found[action], times_s, numbers)
 
-    names = schema.feature_names(meta.features[state])
-    if len(names) != shape[0]:
-        names = [str(i) for i in range(shape[0])]
-    return Recordings(names, float(meta.fps), list(episodes()), meta.total_episodes)
+    return Recordings(names, float(meta.fps), list(episodes()), meta.total_episodes, action_names)

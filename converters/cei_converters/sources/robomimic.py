@@ -346,7 +346,7 @@ def recordings(root: Path, most: int) -> Recordings:
             if missing := [name for name in columns if name not in found]:
                 raise CEIError(f"{root}, {names[i]} lacks obs/{missing[0]}, which the first episode has.")
             episodes.append(
-                Recording(np.column_stack([hdf5.read(found[name], root) for name in columns]).astype(float))
+                Recording(i, np.column_stack([hdf5.read(found[name], root) for name in columns]).astype(float))
             )
     kwargs = env.get("env_kwargs")
     fps = kwargs.get("control_freq") if isinstance(kwargs, Mapping) else None

@@ -8,13 +8,11 @@ many there are.
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import mujoco
 import yaml
 
-from cei_converters.sources.binding import ARM, END_EFFECTOR, independent_joints
+from cei_converters.sources.binding import ARM, END_EFFECTOR, independent_joints, n_arm
 from cei_converters.sources.joint_map import ABSOLUTE, NEXT_STATE, OPEN_CLOSE, ActionGroup, ActionMap
 from cei_gym.embodiment import Embodiment
-from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
 from cei_gym.errors import CEIError
 
 ACTIONS = "actions"
@@ -116,20 +114,16 @@ def _gripper(kwargs: Mapping[str, Any], embodiment: Embodiment) -> str:
 
 def _motors(embodiment: Embodiment) -> list[tuple[str, list[float]]]:
     """Of each of the end-effector's independent joints its name and what its motor can be told, in the order of the motors."""
-    model, independent = embodiment.model, independent_joints(embodiment)
+    independent = independent_joints(embodiment)
     order: dict[str, list[float]] = {}
-    for motor in range(model.nu):
-        if model.actuator_trntype[motor] != mujoco.mjtTrn.mjTRN_JOINT:
+    for q, *told in embodiment.motors:
+        if q < embodiment.n_arm:
             continue
-        joint = model.joint(model.actuator_trnid[motor, 0]).name
-        if not joint.startswith(END_EFFECTOR_PREFIX):
-            continue
-        q = embodiment.joint_names.index(joint.removeprefix(END_EFFECTOR_PREFIX))
         leader = independent[embodiment.coupled.leader[q]]
         order.setdefault(leader, [])
         if embodiment.joint_names[q] == leader:
-            order[leader] = model.actuator_ctrlrange[motor].tolist()
-    hand = [joint for joint in independent if embodiment.joint_names.index(joint) >= embodiment.n_arm]
+            order[leader] = told
+    hand = independent[n_arm(embodiment) :]
     return list(order.items()) if sorted(order) == sorted(hand) else [(joint, []) for joint in hand]
 
 

@@ -120,7 +120,7 @@ def recordings(root: Path, most: int) -> Recordings:
     """
     state, bounds = _state(root)
     chosen = spread(len(bounds) - 1, most)
-    episodes = [Recording(state[bounds[i] : bounds[i + 1]].astype(float)) for i in chosen]
+    episodes = [Recording(i, state[bounds[i] : bounds[i + 1]].astype(float)) for i in chosen]
     return Recordings([str(i) for i in range(state.shape[1])], None, episodes, len(bounds) - 1)
 
 
