@@ -153,6 +153,17 @@ def _why_not(key: str, feature: Mapping[str, Any]) -> str:
     return ""
 
 
+def of_episodes(meta: Any) -> dict[str, str]:
+    """Name to reason of what is known of whole episodes in meta/episodes beyond LeRobot's own, which is written anew."""
+    own = {"episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index"}
+    names = [name for name in meta.episodes.features if name not in own]
+    return {
+        f"meta/episodes: {name}": "of whole episodes, whose table is written anew"
+        for name in names
+        if not name.startswith(("data/", "meta/episodes/", "videos/", "stats/"))
+    }
+
+
 def with_objects_moved(carried: Mapping[str, dict]) -> dict[str, str]:
     """Key to reason of what does not hold any more where objects are elsewhere."""
     reason = "may say where objects are, which are moved"
@@ -196,13 +207,21 @@ def frame_tasks(table: pa.Table, tasks: Mapping[int, str], index: int) -> tuple[
     said: list[str] = []
     for frame, number in enumerate(table["task_index"].to_pylist()):
         number = number[0] if isinstance(number, list) and len(number) == 1 else number
-        if not isinstance(number, int) or number not in tasks:
+        if (whole := whole_number(number)) is None or whole not in tasks:
             raise CEIError(
                 f"episode {index}, frame {frame}: task_index is {one_line(number, 40)}, but meta/tasks.parquet has {_range(sorted(tasks))}; download "
                 "or record the dataset again."
             )
-        said.append(tasks[number])
+        said.append(tasks[whole])
     return tuple(said)
+
+
+def whole_number(value: object) -> int | None:
+    """A number that is whole, however it is stored; None for anything else."""
+    number = value.item() if isinstance(value, np.generic) else value
+    if isinstance(number, bool) or not isinstance(number, (int, float)) or not float(number).is_integer():
+        return None
+    return int(number)
 
 
 def _range(numbers: Sequence[int]) -> str:

@@ -62,7 +62,9 @@ def decode_array(column: Any, feature: Mapping[str, Any], where: str, boolean: b
     """
     array = column.combine_chunks()
     array = getattr(array, "storage", array)  # datasets keeps 2-D features in an extension type
-    while isinstance(array, (pa.ListArray, pa.LargeListArray, pa.FixedSizeListArray)):
+    while isinstance(array, (pa.ListArray, pa.LargeListArray, pa.FixedSizeListArray)) and not pa.types.is_map(
+        array.type
+    ):
         lengths = [] if isinstance(array, pa.FixedSizeListArray) else array.value_lengths().unique()
         if array.null_count or len(lengths) > 1:  # rows of different lengths may have the right number of values in all
             raise CEIError(f"{where}: a row is not of shape {tuple(feature['shape'])}.")

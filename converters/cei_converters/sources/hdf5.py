@@ -11,7 +11,6 @@ import numpy as np
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json
 
-SUFFIXES = (".hdf5", ".h5")
 _MOST_BYTES = 2**32
 """Of one dataset: a file of a few kilobytes may say that it holds petabytes."""
 

@@ -14,7 +14,7 @@ from cei_converters.dataset.decoding import decode_frames, decode_pictures
 from cei_converters.dataset.depth import camera_name, check_depth_feature, image_depth_m, video_depth_m
 from cei_converters.dataset.locate import locate
 from cei_converters.dataset.metadata import METADATA_PATH
-from cei_converters.dataset.opening import choose_embodiment, load_lerobot_metadata, load_metadata
+from cei_converters.dataset.opening import choose_embodiment, load_lerobot_metadata, load_metadata, task_texts
 from cei_converters.dataset.records import load_records
 from cei_converters.sources.actions import BoundActions, action_map, bind_actions, of_all_joints
 from cei_converters.sources.binding import BoundJointMap, bind
@@ -66,7 +66,7 @@ class DatasetReader(Source):
         self._meta = load_lerobot_metadata(repo_id, self.root)
         self.fps = float(self._meta.fps)
         self.has_clouds = schema.POINT_CLOUD in self._meta.features
-        self._tasks = {int(number): str(task) for task, number in self._meta.tasks["task_index"].items()}
+        self._tasks = task_texts(self._meta, self.root)
         self._bound, self._actions = self._bind(joint_map)
         self._check_features()
 
@@ -124,6 +124,7 @@ class DatasetReader(Source):
         action = None if self._actions is None else self._actions.feature
         used = {self._state, action, schema.POINT_CLOUD, schema.ENVIRONMENT_STATE, *self._meta.camera_keys}
         self.carried, self.dropped = carried.choose(features, {key for key in used if key is not None})
+        self.dropped |= carried.of_episodes(self._meta)
 
     def __len__(self) -> int:
         return int(self._meta.total_episodes)
@@ -204,7 +205,7 @@ class DatasetReader(Source):
     @property
     def tasks(self) -> list[str]:
         """See `Source.tasks`."""
-        counted = sorted(self._tasks) == list(range(len(self._tasks)))
+        counted = sorted(self._tasks) == list(range(len(self._tasks))) == list(range(len(set(self._tasks.values()))))
         return [self._tasks[number] for number in sorted(self._tasks)] if counted else []
 
     def masks(self, index: int) -> dict[str, np.ndarray]:
