@@ -11,12 +11,12 @@ from cei_gym.errors import CEIError
 
 _LEAST_FRAMES = 8
 _FAR = 0.1  # rad or m, between a target and where an arm's joints are a frame later, in the mean over joints: never seen of targets
+_ANOTHER_ZERO = 0.3  # rad or m
 _MOVES = 0.2  # rad or m, over an episode: enough to see what goes with what
 _TIMES_BETTER = 4.0  # the explanation that is said must be this many times worse than another to be refused
 _SURE, _LOOSE = 0.95, 0.5  # squares of correlations
-_UNRELATED = (
-    0.3  # a correlation: of targets' differences and what follows it is 0.8 and more, of anything else under 0.2
-)
+# correlations: of differences and what follows 0.8 and more, of anything else under 0.2, where frames are many
+_RELATED, _UNRELATED = 0.6, 0.3
 _WHILE = 5  # frames: a robot is some behind its targets
 _RESTS = 1e-4  # rad a frame
 _LEAST_FPS = 6.0  # below, a change a frame and one a second are too much alike
@@ -54,13 +54,14 @@ def check_actions(actions: BoundActions, values: np.ndarray, qpos: np.ndarray, f
     u = actions.embodiment.coupled.reduce(qpos)
     is_arm = np.arange(u.shape[1]) < n_arm(actions.embodiment)
     where = f"{where}: {actions.feature}"
+    absolute = actions.of_kind(ABSOLUTE)
+    lost = _check_each(actions, actions.absolute(values), u, absolute, is_arm, where) if absolute.any() else ""
     for kind in (ABSOLUTE, DELTA, VELOCITY):
         joints = np.flatnonzero(actions.of_kind(kind) & is_arm)
         if len(joints):
             _check_kind(kind, actions, actions.relative(values), actions.absolute(values), u, joints, fps, where)
-    absolute = actions.of_kind(ABSOLUTE)
-    if absolute.any():
-        _check_each(actions, actions.absolute(values), u, absolute, is_arm, where)
+    if lost:
+        raise CEIError(lost)
     _check_fingers(actions, values, u, np.flatnonzero(~is_arm), where)
 
 
@@ -95,7 +96,9 @@ def _check_kind(
     a_second = times is not None and fps >= _LEAST_FPS and fps / 3 < times < 3 * fps
     other = None
     if kind == ABSOLUTE:
-        if off[kind] > _FAR and min(off[DELTA], off[VELOCITY]) * _TIMES_BETTER < off[kind]:
+        # that a speed moves little in a frame says nothing, as any number does when it is divided
+        better = min(off[DELTA], off[VELOCITY]) if goes_with is not None else off[DELTA]
+        if off[kind] > _FAR and better * _TIMES_BETTER < off[kind] and (goes_with is None or goes_with > _RELATED):
             other = VELOCITY if a_second else DELTA
     elif off[ABSOLUTE] * _TIMES_BETTER < np.abs(r).mean() and np.abs(r).mean() > _FAR:
         other = ABSOLUTE
@@ -133,44 +136,48 @@ def _times(r: np.ndarray, change: np.ndarray) -> float | None:
 
 def _check_each(
     actions: BoundActions, a: np.ndarray, u: np.ndarray, absolute: np.ndarray, is_arm: np.ndarray, where: str
-) -> None:
-    """Joint by joint: targets that follow the joint in another unit, sign or column, or not at all."""
+) -> str:
+    """Joint by joint: targets that follow the joint in another unit, sign or column. Returns what is to be said if most follow nothing."""
     body, names = actions.embodiment, independent_joints(actions.embodiment)
     lower, upper = body.independent_limits
     a, then = a[:-1], u[1:]
     extent = np.ptp(then, axis=0)
     moves = extent > np.where(is_arm, _MOVES, 0.3 * (upper - lower))
-    lost = []
+    lost, strays = [], []
     for j in np.flatnonzero(absolute & moves):
         if not is_arm[j] and not _beyond(a[:, j], float(lower[j]), float(upper[j])):
             continue  # what a finger holds keeps it from where it is told to be
         off = float(np.median(np.abs(a[:, j] - then[:, j])))
-        if off < max(_FAR, 0.5 * extent[j]) if is_arm[j] else off < 0.5 * (upper[j] - lower[j]):
+        if off < max(_FAR, 0.15 * extent[j]) if is_arm[j] else off < 0.5 * (upper[j] - lower[j]):
             continue
-        fit = _fit(then[:, j], a[:, j])
+        fit = _lagged(then[:, j], a[:, j])
         unit = body.joint_units[body.coupled.independent[j]]
         differ = f"{where}: of {names[j]} it is {off:.3g} {unit} (median) from where the joint is a frame later"
-        if fit.share > _SURE and (not 0.5 < fit.slope < 2 or abs(fit.shift) > 0.5 * extent[j]):
+        apart = abs(fit.slope * then[:, j].mean() + fit.shift - then[:, j].mean())
+        shifted = apart > max(_ANOTHER_ZERO, 0.5 * extent[j])  # gravity, or how a leader was calibrated, makes less
+        if fit.share > _SURE and (not 0.67 < fit.slope < 1.5 or shifted):
             raise CEIError(
                 f"{differ}, and {fit.slope:.4g} times that position plus {fit.shift:.3g} ({100 * fit.share:.0f} % explained): its unit, sign or "
                 f"zero differ from the state's. A joint map says so by a group under action: joints: with {_group(fit, float(lower[j]), float(upper[j]))}; "
                 f"{_NULL}"
             )
-        others = [
-            i for i in np.flatnonzero(moves) if i != j and np.median(np.abs(a[:, j] - then[:, i])) < 0.2 * extent[i]
-        ]
-        if is_arm[j] and others and fit.share < _LOOSE:
-            raise CEIError(
-                f"{differ}, but follows {names[others[0]]}: its columns are in another order than the state's. A joint map says which are "
-                "which under action, with joints: of its own."
-            )
-        if is_arm[j] and off > extent[j] and fit.share < _LOOSE:
-            lost.append(differ)
-    if len(lost) > 0.5 * np.count_nonzero(moves & is_arm & absolute):
+        if is_arm[j] and fit.share < _LOOSE and off > 0.5 * extent[j]:
+            others = [names[i] for i in np.flatnonzero(moves) if i != j and _follows(a[:, j], then[:, i])]
+            strays.append((differ, others[0] if others else ""))
+            if off > extent[j]:
+                lost.append(differ)
+    if strays and all(other for _, other in strays):
+        differ, other = strays[0]
         raise CEIError(
+            f"{differ}, but follows {other}: its columns are in another order than the state's. A joint map says which are which under action, "
+            "with joints: of its own."
+        )
+    if len(lost) > 0.5 * np.count_nonzero(moves & is_arm & absolute):
+        return (
             f"{lost[0]}, which moves by {extent.max():.3g} at most, and most joints are alike: these are no targets of these joints in rad or m. "
             f"Differences or speeds in a unit of their own, or an end-effector's? {_SEE_MAP}"
         )
+    return ""
 
 
 def _beyond(a: np.ndarray, lower: float, upper: float) -> bool:
@@ -224,6 +231,22 @@ def _check_fingers(actions: BoundActions, values: np.ndarray, u: np.ndarray, fin
 def _typical(off: np.ndarray) -> float:
     """The mean over joints, in the middle of all frames: an arm that has yet to find its leader, at first, is no matter."""
     return float(np.median(np.abs(off).mean(axis=1)))
+
+
+def _follows(a: np.ndarray, then: np.ndarray) -> bool:
+    """Whether targets are those of a joint that moves like this."""
+    fit, extent = _lagged(then, a), float(np.ptp(then))
+    return (
+        fit.share > _SURE
+        and 0.8 < fit.slope < 1.25
+        and abs(fit.slope * then.mean() + fit.shift - then.mean()) < 0.2 * extent
+    )
+
+
+def _lagged(then: np.ndarray, a: np.ndarray) -> _Fit:
+    """The best fit of targets over positions, as many frames later as it takes."""
+    fits = (_fit(then[lag:], a[: len(a) - lag]) for lag in range(_WHILE))
+    return max(fits, key=lambda fit: fit.share)
 
 
 def _fit(x: np.ndarray, y: np.ndarray) -> _Fit:
