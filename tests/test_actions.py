@@ -295,3 +295,16 @@ def test_a_dataset_named_after_the_joints_is_checked_too(tmp_path: Path) -> None
     path.write_text(yaml.safe_dump({"action": {"kind": "delta"}}))
     read = open_source("me/delta", tmp_path / "delta", joint_map=path).read(0)
     np.testing.assert_allclose(read.action, np.clip(told, BODY.lower, BODY.upper), atol=1e-5)
+
+
+def test_the_documented_maps_are_maps() -> None:
+    from cei_converters.sources.joint_map import FORMAT
+
+    state, actions = FORMAT.split("\n\n")
+    mapped = decode(yaml.safe_load(state.split("\n", 1)[1]))
+    assert mapped.action == "action" and len(mapped.joints) == 2 and mapped.fixed == {"joint8": 0.5}
+    said = decode(yaml.safe_load(actions.split("\n", 1)[1])).action
+    assert said is not None and not isinstance(said, str) and said.joints is not None
+    assert (said.kind, [group.kind for group in said.joints]) == ("delta", [None, "open_close"])
+    actions_of = bind_actions(said, BODY, [*(str(i) for i in range(7)), "grip"])
+    assert actions_of.kinds == ("delta",) * 7 + ("open_close",)

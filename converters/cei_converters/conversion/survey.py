@@ -1,6 +1,6 @@
 """All that can be said against episodes, and what can be learnt of their scene, before any work: their joints are read once."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -16,9 +16,12 @@ LOWEST = "the source's lowest point"
 TABLE_EPISODES = 500
 """So many of a dataset, spread over it, say where the table is, and those that are converted: an arm has been down long before."""
 
+FEW_EPISODES = 8
+"""Of a source whose joints take long to read."""
+
 
 def survey(source: Source, episodes: Iterable[int], done: Callable[[int], None] = lambda _: None) -> float | None:
-    """Read what episodes have but for what cameras saw, and check it.
+    """Read what episodes have but for what cameras saw, and check it; of a source that takes long, of a few.
 
     Args:
         source: of the demonstrations.
@@ -32,7 +35,7 @@ def survey(source: Source, episodes: Iterable[int], done: Callable[[int], None] 
         CEIError: one cannot be read, or is not what it is said to be.
     """
     lowest = None if source.table_from else _Lowest(source)
-    wanted = sorted(set(episodes))
+    wanted = sorted(set(episodes)) if source.quick else _spread(sorted(set(episodes)), FEW_EPISODES)
     for index in wanted:
         demonstration = source.read(index, clouds=False)
         if source.carried:
@@ -42,13 +45,18 @@ def survey(source: Source, episodes: Iterable[int], done: Callable[[int], None] 
         done(len(demonstration))
     if lowest is None:
         return None
-    spread = {round(i) for i in np.linspace(0, len(source) - 1, TABLE_EPISODES)}
-    for index in sorted(spread - set(wanted)):
+    most = TABLE_EPISODES if source.quick else FEW_EPISODES
+    for index in sorted(set(_spread(range(len(source)), most)) - set(wanted)):
         try:
             lowest.add(source.read(index, clouds=False))
         except CEIError:  # of an episode that nobody wants
             continue
     return lowest.z_m
+
+
+def _spread(episodes: Sequence[int], most: int) -> list[int]:
+    """At most so many of them, far apart."""
+    return sorted({episodes[round(i)] for i in np.linspace(0, len(episodes) - 1, most)})
 
 
 class _Lowest:

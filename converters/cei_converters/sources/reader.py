@@ -68,6 +68,7 @@ class DatasetReader(Source):
         self.has_clouds = schema.POINT_CLOUD in self._meta.features
         self._tasks = task_texts(self._meta, self.root)
         self._bound, self._actions = self._bind(joint_map)
+        self.quick = self._bound is None or self._bound.pose is None
         self._check_features()
 
     def _bind(self, joint_map: JointMap | None) -> tuple[BoundJointMap | None, BoundActions | None]:

@@ -88,6 +88,7 @@ class RobomimicSource(Source):
         names = [numbered for name, size in columns.items() for numbered in _numbered(name, size)]
         self._bound = bind(joint_map, body, names) if by_map and joint_map is not None else None
         self._actions = self._bind_actions(joint_map, kwargs, names)
+        self.quick = self._bound is None or self._bound.pose is None
         self.carried = {
             key: {"dtype": dtype, "shape": (1,), "names": None}
             for key, dtype in (_CARRIED[name] for name in self._carried_as)

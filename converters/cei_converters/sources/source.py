@@ -48,6 +48,7 @@ class Source(ABC):
         repo_id: name of the dataset.
         root: its folder or file.
         embodiment, scene: of all its episodes.
+        quick: whether joints are read in no time: not by inverse kinematics.
         table_from: who says where the scene's table is; empty if nobody does.
         metadata: contents of `meta/cei.json`, or None.
         records: what is known of each episode (seed, quality, ...), of those that it is known of.
@@ -64,6 +65,7 @@ class Source(ABC):
     root: Path
     embodiment: Embodiment
     scene: Scene
+    quick: bool = True
     table_from: str = ""
     metadata: "Metadata | None" = None
     records: Sequence[Mapping[str, Any]] = ()

@@ -62,6 +62,7 @@ class ZarrSource(Source):
         columns = [str(i) for i in range(self._state.shape[1])]
         self._bound = bind(joint_map, self.embodiment, columns)
         self._values, self._actions = self._bind_actions(joint_map, columns)
+        self.quick = self._bound is None or self._bound.pose is None
         used = {_STATE, _CLOUD, _ENDS, *([_ACTION] if self._actions is not None else [])}
         reason = {_ACTION: "of whatever controller there was; a joint map may say what they are"}
         self.carried = {}
