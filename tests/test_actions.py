@@ -113,6 +113,23 @@ def test_the_states_groups_find_columns_by_name_in_another_order() -> None:
     np.testing.assert_allclose(actions.targets(told[:, order], BODY.coupled.expand(u), FPS)[:, :8], told, atol=1e-12)
 
 
+def test_a_state_with_more_than_positions_finds_its_actions_by_name() -> None:
+    """As LeRobot has it: positions and speeds, of which only positions are told."""
+    state = [f"{name}.{what}" for name in (*"abcdefg", "grip") for what in ("pos", "vel")]
+    told = [f"{name}.pos" for name in ("grip", *"gfedcba")]
+    groups = [
+        {"joints": "arm", "columns": [f"{name}.pos" for name in "abcdefg"]},
+        {"joints": ["finger_joint1"], "columns": ["grip.pos"]},
+    ]
+    mapped = decode({"joints": groups, "action": "action", "ignore": "rest"})
+    said = action_map(mapped, None)
+    assert said is not None
+    actions = bind_actions(said, BODY, told, mapped, state)
+    assert actions.column.tolist() == [7, 6, 5, 4, 3, 2, 1, 0]
+    with pytest.raises(CEIError, match="has 7 columns but the state has 16"):
+        bind_actions(said, BODY, [str(i) for i in range(7)], mapped, state)
+
+
 @pytest.mark.parametrize(
     ("raw", "columns", "message"),
     [

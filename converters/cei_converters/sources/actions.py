@@ -144,10 +144,12 @@ def bind_actions(
     groups, ignore, place = actions.joints, actions.ignore, list(range(len(columns)))
     if groups is None:
         assert joint_map is not None
-        place = _places_of_the_state(columns, state_columns, actions.feature, where)
-        columns, groups = state_columns, [ActionGroup(**vars(group)) for group in joint_map.joints]
+        groups = [ActionGroup(**vars(group)) for group in joint_map.joints]
         if not groups and joint_map.pose is None:  # the state's columns are the embodiment's joints
             groups = [ActionGroup(independent, [str(q) for q in embodiment.coupled.independent])]
+        needed = [c for group in groups for c in find_columns(group.columns or [], state_columns, where)]
+        place = _places_of_the_state(columns, state_columns, needed, actions.feature, where)
+        columns = state_columns
         ignore = ignore or REST  # what is ignored of the state is here, too
     kinds: list[str | None] = [None] * len(independent)
     column, scale, offset = np.zeros(len(independent), int), np.ones(len(independent)), np.zeros(len(independent))
@@ -231,25 +233,31 @@ def _bind_command(
     return bound, chosen
 
 
-def _places_of_the_state(columns: Sequence[str], state_columns: Sequence[str], feature: str, where: str) -> list[int]:
-    """Of each of the state's columns, which of the feature's it is: by name, or in turn where names have nothing in common.
+def _places_of_the_state(
+    columns: Sequence[str], state_columns: Sequence[str], used: Sequence[int], feature: str, where: str
+) -> list[int]:
+    """Of each of the state's columns, which of the feature's it is: by name, or in turn where names have nothing in common; anything for
+    those that are not used.
 
     Raises:
         CEIError: it has other columns.
     """
     own = "say which are which under action, with joints: of its own, or write action: null for the next frame's state"
-    if len(columns) != len(state_columns):
-        raise CEIError(f"{where}: {feature} has {len(columns)} columns but the state has {len(state_columns)}; {own}.")
     if list(columns) == list(state_columns):
         return list(range(len(columns)))
-    if set(columns) == set(state_columns):
-        return [columns.index(name) for name in state_columns]
-    if shared := set(columns) & set(state_columns):
+    shared = {name for name in columns if name in state_columns and not name.isdecimal()}  # a number is no name
+    if not shared:
+        if len(columns) != len(state_columns):
+            raise CEIError(
+                f"{where}: {feature} has {len(columns)} columns but the state has {len(state_columns)}; {own}."
+            )
+        return list(range(len(columns)))
+    if other := [state_columns[c] for c in used if state_columns[c] not in shared]:
         raise CEIError(
-            f"{where}: {feature} shares some columns with the state ({_some(shared)}), and has {_some(set(columns) - shared)} where that has "
-            f"{_some(set(state_columns) - shared)}; {own}."
+            f"{where}: {feature} shares some columns with the state ({_some(shared)}), and has {_some(set(columns) - shared) or 'none'} where that has "
+            f"{_some(other)}; {own}."
         )
-    return list(range(len(columns)))
+    return [columns.index(name) if name in shared else -1 for name in state_columns]
 
 
 def _some(names: Iterable[str]) -> str:

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 # how far outside its range a joint may be read before its unit must be wrong
 UNIT_SLACK = {"rad": np.pi, "m": 0.5}
-# of its range, how far a finger that slides may be read outside it: all of it is what one reads who stores the distance of two
-FINGER_SLACK = 0.5
 # stands in for the workspace of a dataset that does not say: about any arm's reach; where the table is, it says nothing of
 DEFAULT_WORKSPACE_M = np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
 
@@ -202,7 +200,8 @@ class Source(ABC):
         if bound is not None and bound.pose is not None:
             _check_finite(state[:, bound.pose_columns], where, "pose", [f"column {c}" for c in bound.pose_columns])
             qpos, figures = self._recover(bound, state, qpos, where)
-        self._check_values(qpos, where, "observation.state", FINGER_SLACK)
+        self._check_values(qpos, where, "observation.state")
+        self._check_widths(qpos, where)
         if actions is None or values is None:
             return Joints(qpos, np.concatenate([qpos[1:], qpos[-1:]]), figures)
         values = values.astype(np.float64)
@@ -229,36 +228,51 @@ class Source(ABC):
         }
         return np.column_stack([found.qpos[:, :n_arm], qpos[:, n_arm:]]), figures
 
-    def _check_values(self, values: np.ndarray, where: str, key: str, finger_slack: float = np.inf) -> None:
+    def _check_values(self, values: np.ndarray, where: str, key: str) -> None:
         """values: (T, n) rad or m."""
         body = self.embodiment
         _check_finite(values, where, key, [f"joint {name}" for name in body.joint_names])
         slack = np.array([UNIT_SLACK[unit] for unit in body.joint_units])
-        slides = np.array([unit == "m" for unit in body.joint_units]) & (np.arange(len(slack)) >= body.n_arm)
-        slack[slides] = np.minimum(slack, finger_slack * (body.upper - body.lower))[slides]
         far = np.argwhere((values < body.lower - slack) | (values > body.upper + slack))
         if len(far):
             frame, joint = far[0]
             unit = body.joint_units[joint]
-            limits = f"[{body.lower[joint]:.4g}, {body.upper[joint]:.4g}] {unit}"
-            extent = float(np.abs(values[:, joint]).max())
             raise CEIError(
-                f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is "
-                f"{values[frame, joint]:.4g} {unit}, far outside {limits}; it looks like {_likely(unit, extent, bool(slides[joint]))}."
+                f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is {values[frame, joint]:.4g} {unit}, far outside "
+                f"{self._limits(joint)}; it looks like {_likely(unit, float(np.abs(values[:, joint]).max()))}."
             )
 
+    def _check_widths(self, qpos: np.ndarray, where: str) -> None:
+        """Refuse fingers that slide and are far beyond their limits for long: the distance of two is twice as much."""
+        body = self.embodiment
+        if len(qpos) < _LEAST_FRAMES:
+            return
+        for q in body.coupled.independent:
+            wide = qpos[:, q] > body.upper[q] + 0.5 * (body.upper[q] - body.lower[q])
+            if q >= body.n_arm and body.joint_units[q] == "m" and wide.mean() > 0.1:
+                raise CEIError(
+                    f"{where}, frame {np.argmax(wide)}, joint {body.joint_names[q]}: observation.state is {qpos[np.argmax(wide), q]:.4g} m, far "
+                    f"outside {self._limits(q)}, and so in {100 * wide.mean():.0f} % of the frames; it looks like the distance of two fingers, or another "
+                    "gripper's; a joint map says so by unit: normalised, range: [closed, open]."
+                )
 
-def _likely(unit: str, extent: float, finger: bool) -> str:
+    def _limits(self, q: int) -> str:
+        body = self.embodiment
+        return f"[{body.lower[q]:.4g}, {body.upper[q]:.4g}] {body.joint_units[q]}"
+
+
+_LEAST_FRAMES = 12
+
+
+def _likely(unit: str, extent: float) -> str:
     """What a joint's column may be whose largest number is far beyond the joint's limits, and what a joint map would say."""
     if unit == "m":
-        if finger and extent < 0.5:
-            return "the distance of two fingers, or another gripper's; a joint map says so by unit: normalised, range: [closed, open]"
-        return "millimetres or percent; a joint map says so by unit: mm, or unit: normalised, range: [0, 100]"
+        return "millimetres or percent; convert to m, or say so in a joint map, by unit: mm, or unit: normalised, range: [0, 100]"
     if extent > 400:
         return "servo ticks; a joint map says so by unit: ticks, range: [at the lower limit, at the upper limit]"
     if extent <= 101:
         return "degrees or LeRobot's -100 to 100; a joint map says which, by unit: deg or unit: normalised, range: [-100, 100]"
-    return "degrees; a joint map says so by unit: deg"
+    return "degrees; convert to rad, or say so in a joint map, by unit: deg"
 
 
 def _check_finite(values: np.ndarray, where: str, key: str, names: Sequence[str]) -> None:
