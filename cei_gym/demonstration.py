@@ -35,11 +35,18 @@ class Scene:
         T_world_base: (4, 4) pose of the robot's base in the world frame.
         cameras: the depth cameras.
         workspace_world: (2, 3) lower and upper corner of the box that clouds are cropped to, metres, world.
+        table_z_m: height of the surface that objects stand on, world; None where it is the workspace's floor.
     """
 
     T_world_base: np.ndarray
     cameras: tuple[Camera, ...]
     workspace_world: np.ndarray
+    table_z_m: float | None = None
+
+    @property
+    def support_z_m(self) -> float:
+        """Height of the surface that objects stand on, world."""
+        return float(self.workspace_world[0, 2]) if self.table_z_m is None else self.table_z_m
 
 
 @dataclass(frozen=True)

@@ -367,11 +367,11 @@ class Transfer:
         return demonstration.scene.T_world_base if self._T_world_target is None else self._T_world_target
 
     def _support_z_base_m(self, demonstration: Demonstration) -> float:
-        """Height of the support surface: the workspace's floor, or lower where the source itself went lower."""
+        """Height of the support surface: the scene's, or lower where the source itself went lower."""
         scene = demonstration.scene
         lowest_world = self._source_shapes.lowest(scene.T_world_base @ self._source_tree.forward(demonstration.qpos))
         # Bases stand upright, so a height in the world and one in the base frame differ by the base's own.
-        return min(float(scene.workspace_world[0, 2]), lowest_world) - float(self._base(demonstration)[2, 3])
+        return min(scene.support_z_m, lowest_world) - float(self._base(demonstration)[2, 3])
 
     def _motion(self, demonstration: Demonstration, scenes: Sequence[np.ndarray] = ()) -> Motion:
         """What the source's pads do, in the target's base frame; it starts from the target's home."""
@@ -425,7 +425,7 @@ class Transfer:
     ) -> list[np.ndarray]:
         """For each frame points on what stands on the support surface near the hand, target's base frame."""
         T_base_world = np.linalg.inv(self._base(demonstration))
-        floor = demonstration.scene.workspace_world[0, 2] + _ABOVE_SUPPORT_M
+        floor = demonstration.scene.support_z_m + _ABOVE_SUPPORT_M
         above = [s[s[:, 2] > floor, :3] for s in scenes]
         above = [s[~isolated(s, _COMPANY_M)] for s in above]
         objects = [s @ T_base_world[:3, :3].T + T_base_world[:3, 3] for s in above]

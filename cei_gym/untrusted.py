@@ -1,7 +1,8 @@
-"""YAML and JSON from strangers: no aliases that stand for a billion values, no key twice, no bottomless nesting; and rows of numbers."""
+"""YAML and JSON from strangers: no aliases that stand for a billion values, no key twice, no bottomless nesting, plain values only; and rows of numbers."""
 
 import json
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,8 @@ import yaml
 from cei_gym.errors import CEIError, one_line
 
 MAX_VALUES = 100_000
+MAX_DIGITS = 300
+"""Of a whole number: more would be no number of anything, and none that fits a float."""
 
 
 def load_yaml(text: str) -> Any:
@@ -28,7 +31,7 @@ def load_json(text: str) -> Any:
     Raises:
         CEIError: as `load_yaml`.
     """
-    return _load(lambda text: json.loads(text, object_pairs_hook=_object), text)
+    return _load(lambda text: json.loads(text, object_pairs_hook=_object, parse_int=_whole), text)
 
 
 def finite_row(value: object, count: int) -> np.ndarray:
@@ -80,9 +83,60 @@ def _size(node: yaml.Node, known: dict[yaml.Node, float]) -> float:
 
 
 class _Loader(yaml.SafeLoader):
+    """YAML 1.2's core schema. Version 1.1, PyYAML's own, also reads `on` as true, `1:30` as 90, `010` as 8 and `2024-01-01` as a
+    date, and has sets, dates and bytes by tag."""
+
+    yaml_implicit_resolvers: dict = {}  # noqa: RUF012  (PyYAML's own name and type)
+    yaml_constructors = {  # noqa: RUF012
+        tag: construct
+        for tag, construct in yaml.SafeLoader.yaml_constructors.items()
+        if tag is None or tag.rpartition(":")[2] in ("null", "bool", "int", "float", "str", "seq", "map")
+    }
+
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         _refuse_repeated([key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)])
         return super().construct_mapping(node, deep)
+
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        text = str(self.construct_scalar(node))
+        _refuse_long(text)
+        if _LEADING_ZERO.fullmatch(text):  # 8 in YAML 1.1, 10 in YAML 1.2
+            raise CEIError(f"{text} may be octal or decimal; write it without the zero, or as text in quotes")
+        if node.tag.endswith(":int"):
+            return int(text)
+        return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+
+    def construct_bool(self, node: yaml.ScalarNode) -> bool:
+        text = str(self.construct_scalar(node)).lower()
+        if text not in ("true", "false"):
+            raise CEIError(f"{one_line(text, 30)!r} is neither true nor false")
+        return text == "true"
+
+
+_LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
+_SIGNED = list("-+.0123456789")
+for _tag, _pattern, _first in (
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
+    ("int", r"[-+]?[0-9]+", _SIGNED),
+    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", _SIGNED),
+    ("float", r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", _SIGNED),
+    ("merge", r"<<", ["<"]),
+):
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), _first)
+for _tag in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _Loader.construct_number)
+_Loader.add_constructor("tag:yaml.org,2002:bool", _Loader.construct_bool)
+
+
+def _whole(text: str) -> int:
+    _refuse_long(text)
+    return int(text)
+
+
+def _refuse_long(number: str) -> None:
+    if len(number) > MAX_DIGITS:
+        raise CEIError(f"{number[:20]!r}... has {len(number)} digits, more than any number here")
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

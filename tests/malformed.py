@@ -32,12 +32,12 @@ class Case:
     """One malformed input.
 
     Attributes:
-        kind: which of the valid folders is spoilt: "urdf" or "mjcf" (an end-effector), "dataset".
+        kind: which of the valid folders is spoilt: "urdf" or "mjcf" (an end-effector), "dataset", "hdf5", "zarr".
         name: what is wrong.
         spoil: does it, given a copy of the folder.
         says: what the refusal must contain.
-        through: the command that is given the folder: "pads", "convert", "calibrate", "replay", or "read" for a reader
-            that reads all of a dataset.
+        through: the command that is given the folder: "pads", "convert", "calibrate", "replay", or "read", "hdf5" or "zarr" for a
+            reader that reads all of a dataset.
         may_pass: whether the result may be valid after all: bytes that were changed at random.
     """
 
@@ -59,6 +59,8 @@ def corpus(seed: int = 0, damages: int = 3) -> list[Case]:
         seed: of the random ones.
         damages: how many times each file is cut short, and how many times it has bytes changed.
     """
+    import malformed_sources  # which imports this
+
     named = [
         *_yaml(),
         *_urdf(),
@@ -71,6 +73,7 @@ def corpus(seed: int = 0, damages: int = 3) -> list[Case]:
         *_tables(),
         *_video(),
         *_replay(),
+        *malformed_sources.cases(),
     ]
     return [*named, *_random(seed, damages)]
 
@@ -990,8 +993,12 @@ def _calibration() -> Iterator[Case]:
     )
     yield case("deep nesting", put(file, "cameras: " + "[" * 20_000 + "]" * 20_000))
     yield case("a camera twice", put(file, "cameras: {front: {}, front: {}}"), "front")
-    yield case("no cameras", lacks(file, "cameras"), "cameras")
-    yield case("cameras is empty", has(file, "cameras", value={}), "cameras")
+    yield case("nothing", put(file, "{}"), "says nothing")
+    yield case("cameras is empty", put(file, "cameras: {}"), "says nothing")
+    yield case("all is null", put(file, "{cameras: null, workspace_world: null, T_world_base: null}"), "says nothing")
+    yield case("a camera's name is a number", put(file, "cameras: {5: {}}"), "should be a name")
+    for value in ([], "front", 5, True):
+        yield case(f"cameras is {value}", has(file, "cameras", value=value), "cameras")
     yield case("an unknown field", has(file, "camera", value={}), "'camera'")
     for field in CAMERA:
         yield case(f"no {field}", lacks(file, "cameras", "front", field), field)

@@ -311,7 +311,7 @@ def test_calibration_wins_over_the_scene(calibration: Path) -> None:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda c: c.clear(), "cameras missing; it should have cameras, workspace_world, T_world_base."),
+        (lambda c: c.clear(), "says nothing; it should have at least one of cameras, workspace_world, T_world_base."),
         (lambda c: c.update(cameras=[]), "cameras should map each camera's name to width, height, K"),
         (lambda c: c.update(camera=1), "unknown field 'camera'. Did you mean 'cameras'? Valid: cameras, workspace"),
         (lambda c: c["cameras"].update(side=3), "camera 'side' should be a mapping with width, height, K"),
@@ -474,7 +474,7 @@ def test_rgb_only_is_said(rgb_converted: Path, rgb_source: Path, tmp_path: Path,
     assert "the point clouds show it" not in card
     result = json.loads((rgb_converted.parent / "result.json").read_text())
     assert result["passed_through"] == [VIDEO, IMAGE]
-    assert (result["depth_cameras"], result["ignored_features"]) == ([], [])
+    assert (result["depth_cameras"], result["dropped_features"]) == ([], {})
     assert run(rgb_source, tmp_path / "out", "--dry_run", "--episodes=0") == 0
     line = (
         "Neither depth nor clouds: converted in joints; passed through untouched, so they still show the source robot: "

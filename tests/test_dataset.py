@@ -187,7 +187,7 @@ def test_read_back_equals_what_was_written(root: Path) -> None:
             assert got.depth_m[camera].dtype == np.float32
             np.testing.assert_array_equal(np.rint(got.depth_m[camera] * 1000), np.rint(depth_m * 1000))
         assert (got.task, got.environment_state_names) == (wrote.task, wrote.environment_state_names)
-    assert reader.ignored_features == []
+    assert (reader.carried, reader.dropped) == ({}, {})
 
 
 def test_second_conversion_round_trips_exactly(root: Path, tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from cei_converters import convert
 from cei_converters.dataset.records import Records
+from cei_converters.sources.binding import bind
 from cei_converters.sources.formats import open_source
-from cei_converters.sources.joint_map import bind, load_joint_map
+from cei_converters.sources.joint_map import load_joint_map
 from cei_gym.embodiment import catalogue, load_embodiment
 from cei_gym.kinematics import KinematicTree
 

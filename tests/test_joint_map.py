@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from cei_converters.dataset.writer import DatasetWriter
 from cei_converters.inspection.command import main as inspect
+from cei_converters.sources.binding import bind
 from cei_converters.sources.formats import open_source
-from cei_converters.sources.joint_map import JointMap, bind, load_joint_map
+from cei_converters.sources.joint_map import JointMap, load_joint_map
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
@@ -193,7 +194,10 @@ def test_inspect_proposes_the_map_and_says_what_is_wrong(
     args = ["--dataset.repo_id=me/lab", f"--dataset.root={root}", f"--source={ROBOT}"]
     assert inspect([*args, f"--save_map={proposed}", f"--json={tmp_path / 'found.json'}"]) == 0
     said = capsys.readouterr().out
-    assert "servo_1 looks like degrees; its group in a joint map needs unit: deg." in said
+    assert (
+        "servo_1, servo_2, servo_3, servo_4, servo_5, servo_6, servo_7: look like degrees; their groups in a joint map need unit: deg."
+        in said
+    )
     assert "never changes: servo_0; not recorded, or not used." in said
     found = json.loads((tmp_path / "found.json").read_text())
     assert [column["lag"] for column in found["columns"]] == [None] + [3] * 8
@@ -231,5 +235,8 @@ def test_inspect_finds_gaps_and_velocities(scrambled: Callable, tmp_path: Path, 
     )
     assert inspect(["--dataset.repo_id=me/lab", f"--dataset.root={root}"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "time stamps and fps disagree: frame 20 of the 1. episode read comes 0.55 s after the last" in said
+    assert (
+        "episode 0, frame 20: time stamps and fps disagree: it comes 0.55 s after the last, at 20 frames a second"
+        in said
+    )
     assert "the state does not follow the action: servo_0" in said

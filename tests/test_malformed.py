@@ -12,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from malformed import CARD, LAUGHS, Case, corpus, write_dataset, write_hand
+from malformed import CARD, LAUGHS, ROBOT, Case, corpus, write_dataset, write_hand
+from malformed_sources import write_hdf5, write_zarr
 
 from cei_converters import cli, convert, pads, replay
 from cei_converters.dataset.license import source_license
+from cei_converters.sources.formats import open_source
 from cei_converters.sources.reader import DatasetReader
 
 CASES = corpus(seed=0)
@@ -39,6 +41,27 @@ def read(config: ReadConfig) -> None:
         reader.pictures(index)
 
 
+@dataclass
+class ReadOtherConfig:
+    """Read all of another format, as a conversion does."""
+
+    root: str  # Its file or folder.
+    joint_map: str | None = None  # Which of its columns are which joints.
+
+
+def read_other(config: ReadOtherConfig) -> None:
+    source = open_source(
+        "me/pick", config.root, embodiment=None if config.joint_map else ROBOT, joint_map=config.joint_map
+    )
+    for index in range(len(source)):
+        assert np.isfinite(source.read(index).qpos).all()
+        source.carry(index)
+
+
+def other(*options: str) -> int:
+    return cli.run(ReadOtherConfig, read_other, list(options), prog="read", example="")
+
+
 def convert_to(out: Path, folder: Path, *options: str) -> int:
     args = ["--dataset.repo_id=me/pick", f"--dataset.root={folder}", "--target=IIWA-Inspire", "--new_repo_id=me/out"]
     return convert.main([*args, f"--new_root={out}", "--init.starts=8", "--init.basins=1", *options])
@@ -49,6 +72,8 @@ COMMANDS = {
     "convert": lambda folder, out: convert_to(out, folder),
     "calibrate": lambda folder, out: convert_to(out, folder, f"--calibration={folder / 'cameras.yaml'}"),
     "replay": lambda folder, _: replay.main(["--dataset.repo_id=me/pick", f"--dataset.root={folder}"]),
+    "hdf5": lambda folder, _: other(f"--root={folder / 'demo.hdf5'}"),
+    "zarr": lambda folder, _: other(f"--root={folder / 'demo.zarr'}", f"--joint_map={folder / 'map.yaml'}"),
     "read": lambda folder, _: cli.run(ReadConfig, read, [f"--root={folder}"], prog="read", example=""),
 }
 
@@ -58,9 +83,12 @@ def valid(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Kind to folder."""
     folder = tmp_path_factory.mktemp("valid")
     kinds = {"urdf": folder / "urdf", "mjcf": folder / "mjcf", "dataset": folder / "pick"}
+    kinds |= {kind: folder / kind for kind in ("hdf5", "zarr")}
     write_hand(kinds["urdf"], "hand.urdf")
     write_hand(kinds["mjcf"], "hand.xml")
     write_dataset(kinds["dataset"])
+    write_hdf5(kinds["hdf5"])
+    write_zarr(kinds["zarr"])
     return kinds
 
 
@@ -92,7 +120,7 @@ def contents(folder: Path) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "command"), [("urdf", "pads"), ("mjcf", "pads"), ("dataset", "read")], ids=["urdf", "mjcf", "dataset"]
+    ("kind", "command"), [("urdf", "pads"), ("mjcf", "pads"), ("dataset", "read"), ("hdf5", "hdf5"), ("zarr", "zarr")]
 )
 def test_what_is_spoilt_is_valid_before(valid: dict[str, Path], tmp_path: Path, kind: str, command: str) -> None:
     assert COMMANDS[command](valid[kind], tmp_path / "out") == 0

@@ -36,6 +36,11 @@ def path_of(frames: int, seed: int = 0) -> np.ndarray:
     return BODY.coupled.expand(np.clip(u, *BODY.independent_limits))
 
 
+def told(qpos: np.ndarray) -> np.ndarray:
+    """(T,) robosuite's command to a gripper that moves like this: -1 to open, 1 to close."""
+    return np.where(np.append(np.diff(qpos[:, 7]), 0) < 0, 1.0, -1.0)
+
+
 @pytest.fixture
 def robomimic(tmp_path: Path) -> Path:
     path = tmp_path / "demo.hdf5"
@@ -47,9 +52,9 @@ def robomimic(tmp_path: Path) -> Path:
         for i in (0, 2, 10):
             qpos, obs = path_of(6 + i, seed=i), data.create_group(f"demo_{i}/obs")
             obs["robot0_joint_pos"], obs["robot0_gripper_qpos"] = qpos[:, :7], qpos[:, 7:]
+            data[f"demo_{i}/actions"] = np.column_stack([np.zeros((len(qpos), 6)), told(qpos)])
             obs["object"] = np.full((len(qpos), 3), float(i))
             obs["agentview_image"] = np.zeros((len(qpos), 4, 4, 3), np.uint8)
-            data[f"demo_{i}/actions"] = np.zeros((len(qpos), 7))
     return path
 
 
@@ -58,9 +63,11 @@ def test_robomimic_is_read_and_converted(robomimic: Path, tmp_path: Path) -> Non
     assert (len(source), source.fps, [source.frames(i) for i in range(3)]) == (3, 20.0, [6, 8, 16])
     last = source.read(2)  # demo_10 comes after demo_2
     np.testing.assert_array_equal(last.qpos, path_of(16, seed=10))
-    np.testing.assert_array_equal(last.action[:-1], last.qpos[1:])
+    np.testing.assert_array_equal(last.action[:-1, :7], last.qpos[1:, :7])
+    np.testing.assert_array_equal(last.action[:, 7], np.where(told(last.qpos) > 0, 0.0, 0.04))
+    np.testing.assert_array_equal(last.action[:, 8], -last.action[:, 7])
     assert last.task == "Lift" and last.environment_state is not None and (last.environment_state == 10).all()
-    assert source.ignored_features == ["agentview_image"]
+    assert source.dropped == {"agentview_image": "there is no reader for it in HDF5"}
     from cei_converters import convert
 
     args = [a for a in killed.arguments(robomimic, tmp_path / "out") if "repo_id=me/pick" not in a]
@@ -74,7 +81,10 @@ def test_robomimic_is_read_and_converted(robomimic: Path, tmp_path: Path) -> Non
     [
         (lambda f: f.pop("data"), "has no episodes: the group 'data' is missing or empty."),
         (lambda f: f["data/demo_0"].pop("obs"), "demo_0, has no observations; make them with robomimic's"),
-        (lambda f: f["data/demo_0/obs"].pop("robot0_joint_pos"), "lacks obs/robot0_joint_pos; it has: agentview_image"),
+        (
+            lambda f: f["data/demo_0/obs"].pop("robot0_joint_pos"),
+            "lacks obs/robot0_joint_pos with a row of numbers a frame; it has: agentview_image",
+        ),
         (lambda f: f["data"].attrs.pop("env_args"), "does not say how many frames a second it has"),
         (lambda f: f["data"].attrs.update(env_args="{"), "does not say how many frames a second it has"),
     ],

@@ -107,6 +107,14 @@ class Embodiment:
                 return names.index(candidate)
         raise unknown(f"link of {self.name}", name, [_public(n) for n in names[1:]])
 
+    @property
+    def motors(self) -> tuple[tuple[int, float, float], ...]:
+        """Of each motor that drives a joint, in the description's order: index into q, and the least and largest it can be told."""
+        model = self.model
+        on_joint = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+        ranges = model.actuator_ctrlrange[on_joint].tolist()
+        return tuple((int(model.actuator_trnid[a, 0]), *told) for a, told in zip(on_joint, ranges, strict=True))
+
     @cached_property
     def independent_limits(self) -> tuple[np.ndarray, np.ndarray]:
         """(m,) bounds of the independent joints such that every joint, followers included, is within its limits."""

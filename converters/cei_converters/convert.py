@@ -60,6 +60,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.executors import warm_up
     from cei_converters.conversion.outcomes import account, residuals
+    from cei_converters.conversion.survey import LOWEST, survey
     from cei_converters.conversion.workers import convert_shards, processes_for
     from cei_converters.conversion.workplace import Workplace
     from cei_converters.dataset.essentials import Remains
@@ -78,7 +79,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         # it takes a second a gigabyte, beside the choice of the start
         content = (lambda: "") if config.dry_run else in_background(lambda: fingerprint(reader.root))
         reader.check_videos(sorted(set(converter.selected)))
-        print(_about_cameras(reader, bool(converter.cameras)))
+        print("\n".join([_about_cameras(reader, bool(converter.cameras)), *_about_columns(reader)]))
         if isinstance(reader.metadata, Remains):
             print(
                 f"{reader.repo_id} was edited by a tool that lost how it came about: its license is not carried over, nor what was "
@@ -90,7 +91,13 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             warm_up("cei_converters.conversion.preloaded")
         frames = [reader.frames(index) for index in converter.selected]
         progress = stack.enter_context(progress_bar("frames"))
-        task = progress.add_task("choosing the start", total=sum(frames))
+        task = progress.add_task("reading joints", total=sum(frames))
+        table_z_m = survey(reader, converter.selected, lambda done: progress.advance(task, done))
+        if table_z_m is not None:
+            reader.set_table(table_z_m, LOWEST)
+            config = replace(config, table_z_m=table_z_m)
+            progress.console.print(_about_table(table_z_m), highlight=False, soft_wrap=True)
+        progress.reset(task, description="choosing the start")
         plan = _planned(config, place, converter, frames, content)
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
             return _submitted(config, place, missing)
@@ -106,7 +113,9 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "dry_run": config.dry_run,
             "depth_cameras": list(reader.depth_cameras),
             "passed_through": list(converter.cameras),
-            "ignored_features": reader.ignored_features,
+            "carried_features": list(reader.carried),
+            "dropped_features": reader.dropped,
+            "table": {"z_m": reader.scene.support_z_m, "said_by": reader.table_from},
             "episodes": len(told.entries),
             "frames": sum(entry["frames"] for entry in told.entries),
             "results": told.entries,
@@ -263,6 +272,22 @@ def _about_cameras(reader: "Recorded", pass_through: bool) -> str:
     return f"{clouds}; passed through untouched, so they still show the source robot: {', '.join(reader.cameras)}."
 
 
+def _about_columns(reader: "Recorded") -> list[str]:
+    """A line each: which features are carried over as they are, and which are not, and why."""
+    lines = [f"Carried over as they are: {', '.join(reader.carried)}."] if reader.carried else []
+    reasons: dict[str, list[str]] = {}
+    for name, reason in reader.dropped.items():
+        reasons.setdefault(reason, []).append(name)
+    return [*lines, *(f"Not carried over, {reason}: {', '.join(names)}." for reason, names in reasons.items())]
+
+
+def _about_table(z_m: float) -> str:
+    return (
+        f"warning: nothing says where the table is, so it is taken to be at {z_m:g} m (world), where the source's lowest point was; if it is "
+        "elsewhere, give --table_z_m, or a --calibration with workspace_world."
+    )
+
+
 def _provenance(config: ConvertConfig, converter: "Converter", content: str) -> "Provenance":
     """How the dataset comes about; `content` is the fingerprint of the one that is converted."""
     from cei_converters.dataset.license import source_license
@@ -279,10 +304,13 @@ def _provenance(config: ConvertConfig, converter: "Converter", content: str) -> 
         revision=_revision(reader.root) if root is None else None,
         fingerprint=content,
         depth_cameras=reader.depth_cameras,
+        carried=tuple(reader.carried),
+        dropped=dict(reader.dropped),
         **source_license(reader.root),
     )
     options = published(config)
     del options["dataset"]  # which is the source
+    options["table"] = {"z_m": reader.scene.support_z_m, "said_by": reader.table_from}
     inputs = {
         "source embodiment": identity(reader.embodiment),
         "target embodiment": identity(converter.transfer.target),

@@ -42,6 +42,8 @@ def assemble(place: Workplace, plan: Plan, converter: Converter, told: Account) 
         clouds=plain(config.clouds),
         provenance=_with_choices(plan.provenance, converter.transfer, told),
         cameras=converter.cameras,
+        carried=reader.carried,
+        tasks=reader.tasks,
         partial=place.dataset,
     ) as writer:
         for number in range(len(plan.shards)):
@@ -52,8 +54,9 @@ def assemble(place: Workplace, plan: Plan, converter: Converter, told: Account) 
                     outcome = converted.outcome
                     frames = outcome["record"].get("source_frames")
                     pictures = reader.pictures(outcome["entry"]["episode"]) if converter.cameras else Pictures()
-                    pictures = pictures.at(None if frames is None else np.array(frames))
-                    writer.append(converted.header, converted.encoded, outcome["record"], pictures)
+                    frames = None if frames is None else np.array(frames)
+                    carried = reader.carry(outcome["entry"]["episode"]).at(frames)
+                    writer.append(converted.header, converted.encoded, outcome["record"], pictures.at(frames), carried)
                     starts[outcome["mode"]].append(outcome["start_qpos"])
         writer.environment = _with_start(writer.environment, starts)
         copy_license_files(reader.root, place.dataset)

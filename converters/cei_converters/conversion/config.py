@@ -29,6 +29,8 @@ class ConvertConfig:
     calibration: Path | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See above.
     joint_map: Path | None = None  # YAML that tells which columns of a dataset are which joints. See above.
     check_clouds: bool = True  # Refuse clouds that do not show the source where its joints say.
+    table_z_m: float | None = None  # World, m; default: the workspace's floor, else the source's lowest point.
+    drop_features: str | None = None  # What not to carry over of what it says it does, such as next.reward,next.done.
     package_path: list[Path] | None = None  # Folders to look for robots' ROS packages in, separated by colons.
     target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.

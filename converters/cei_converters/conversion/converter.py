@@ -16,6 +16,7 @@ from cei_converters.conversion.reach import check_reached
 from cei_converters.conversion.shard import Converted
 from cei_converters.conversion.verify import Verdict, Verifier, open_stage
 from cei_converters.dataset import schema
+from cei_converters.dataset.carried import with_objects_moved
 from cei_converters.dataset.columns import encode
 from cei_converters.dataset.episodes import encode_episode
 from cei_converters.dataset.metadata import START, Environment, plain
@@ -66,6 +67,10 @@ class Converter:
             calibration=calibrated,
             joint_map=config.joint_map,
         )
+        if config.table_z_m is not None:
+            self.reader.set_table(config.table_z_m, "--table_z_m")
+        if config.drop_features is not None:
+            self.reader.drop([name.strip() for name in config.drop_features.split(",")], "--drop_features")
         self.selected = self.reader.select(parse_episodes(config.episodes))
         pose = parse_pose("--target_pose", config.target_pose)
         self.T_world_target = self.reader.scene.T_world_base if pose is None else pose
@@ -82,6 +87,8 @@ class Converter:
         self._augmentation, self.cameras = None, self.reader.cameras
         if config.augment.enabled:
             self._augmentation, self.cameras = Augmentation(config.augment, self.reader, self.transfer), {}
+            for name, reason in with_objects_moved(self.reader.carried).items():
+                self.reader.drop([name], reason)
             self.selected = [index for index in self.selected for _ in range(len(self._augmentation))]
         self.environment = _environment(self.reader, config.target)
         self._opened = contextlib.ExitStack()

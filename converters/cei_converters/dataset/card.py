@@ -46,6 +46,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
         _augmented(records),
         _verified(metadata, records),
         _cameras(metadata, info, records),
+        _columns(metadata),
         _layout(metadata, info),
         _usage(repo_id, metadata),
         _provenance(root, metadata, records),
@@ -204,6 +205,22 @@ def _cameras(metadata: Metadata, info: dict, records: Records) -> str:
             f"repeat (`source_frames` in `{RECORDS_PATH}`); their videos were encoded again."
         )
     return f"## Cameras\n\n{text}"
+
+
+def _columns(metadata: Metadata) -> str:
+    """What became of the source's other features, and where its table is; empty for a recorded dataset."""
+    source, table = metadata.provenance.source, metadata.provenance.options.get("table", {})
+    if source is None:
+        return ""
+    parts = []
+    if source.carried:
+        parts.append(f"Carried over from the source as they are, frame by frame: {_listed(source.carried)}.")
+    if source.dropped:
+        rows: list[tuple[Any, ...]] = [(f"`{name}`", reason) for name, reason in source.dropped.items()]
+        parts.append("Not carried over:\n\n" + _table(("feature", "why"), rows))
+    if table:
+        parts.append(f"The table is taken to be at {table['z_m']:g} m (world), by {table['said_by']}.")
+    return "## Other features\n\n" + "\n\n".join(parts) if parts else ""
 
 
 def _listed(names: Iterable[str]) -> str:

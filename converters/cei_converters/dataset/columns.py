@@ -1,6 +1,6 @@
 """Values of features as they are stored: depth in whole millimetres, everything else in float32."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,20 +49,29 @@ def _depth_to_mm(depth_m: np.ndarray) -> np.ndarray:
     return depth_mm.astype(np.uint16)[..., None]
 
 
-def decode_array(column: Any, feature: dict, where: str) -> np.ndarray:
+def decode_array(column: Any, feature: Mapping[str, Any], where: str, boolean: bool = False) -> np.ndarray:
     """A list column as an array (T, *shape).
+
+    Args:
+        column: Arrow's.
+        feature: LeRobot's description of it.
+        where: for messages.
+        boolean: whether yes and no are allowed, too.
 
     Raises:
         CEIError: the column's rows are no numbers, or not of the feature's shape.
     """
     array = column.combine_chunks()
     array = getattr(array, "storage", array)  # datasets keeps 2-D features in an extension type
-    while isinstance(array, (pa.ListArray, pa.LargeListArray, pa.FixedSizeListArray)):
+    while isinstance(array, (pa.ListArray, pa.LargeListArray, pa.FixedSizeListArray)) and not pa.types.is_map(
+        array.type
+    ):
         lengths = [] if isinstance(array, pa.FixedSizeListArray) else array.value_lengths().unique()
         if array.null_count or len(lengths) > 1:  # rows of different lengths may have the right number of values in all
             raise CEIError(f"{where}: a row is not of shape {tuple(feature['shape'])}.")
         array = array.flatten()
-    if not (pa.types.is_floating(array.type) or pa.types.is_integer(array.type)):
+    allowed = pa.types.is_floating(array.type) or pa.types.is_integer(array.type)
+    if not allowed and not (boolean and pa.types.is_boolean(array.type)):
         raise CEIError(f"{where} is stored as {one_line(column.type, 60)}; it should be numbers.")
     try:
         return array.to_numpy(zero_copy_only=False).reshape(len(column), *feature["shape"])

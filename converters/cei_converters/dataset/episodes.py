@@ -5,7 +5,7 @@ is one Arrow table from the start. Features, metadata, statistics and layout of 
 """
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,11 +30,13 @@ class EncodedEpisode:
             through.
         statistics: feature key to LeRobot's statistics, but for clouds.
         task: what it shows, in words.
+        tasks: the same of each frame; None where they are alike.
     """
 
     table: pa.Table
     statistics: Mapping[str, dict[str, np.ndarray]]
     task: str = ""
+    tasks: Sequence[str] | None = None
 
 
 def encode_episode(columns: Mapping[str, np.ndarray], features: Mapping[str, dict], task: str) -> EncodedEpisode:
@@ -66,42 +68,66 @@ class EpisodeWriter:
         fps: frames a second.
         features: LeRobot's description of each column, without those that every dataset has (index, timestamp, ...).
         robot_type: what the dataset is of.
+        tasks: those that have numbers already, in their order; others follow.
     """
 
-    def __init__(self, repo_id: str, root: Path, *, fps: int, features: dict[str, dict], robot_type: str) -> None:
+    def __init__(
+        self,
+        repo_id: str,
+        root: Path,
+        *,
+        fps: float,
+        features: dict[str, dict],
+        robot_type: str,
+        tasks: Sequence[str] = (),
+    ) -> None:
         from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
         from lerobot.datasets.feature_utils import get_hf_features_from_features
 
         videos = any(feature["dtype"] == "video" for feature in features.values())
         self._meta = LeRobotDatasetMetadata.create(
-            repo_id, fps=fps, features=features, root=root, robot_type=robot_type, use_videos=videos
+            repo_id,
+            fps=fps,  # pyright: ignore[reportArgumentType]  (declared whole, but only ever divided by)
+            features=features,
+            root=root,
+            robot_type=robot_type,
+            use_videos=videos,
         )
+        if tasks:
+            self._meta.save_episode_tasks(list(tasks))
         self._schema: pa.Schema = get_hf_features_from_features(self._meta.features).arrow_schema
         self._videos = VideoFiles(root, self._meta)
         self._file: pq.ParquetWriter | None = None
         self._place = 0, 0  # chunk, file
 
-    def add(self, episode: EncodedEpisode, pictures: Pictures | None = None) -> None:
+    def add(
+        self, episode: EncodedEpisode, pictures: Pictures | None = None, carried: EncodedEpisode | None = None
+    ) -> None:
         """Append an episode.
 
         Args:
             episode: what is stored of it.
             pictures: those that pass through as they are.
+            carried: columns that do, of the same frames, and maybe the frames' tasks.
         """
-        pictures = pictures or Pictures()
-        frames, task = episode.table.num_rows, episode.task
+        pictures, carried = pictures or Pictures(), carried or EncodedEpisode(pa.table({}), {})
+        frames = episode.table.num_rows
+        each = carried.tasks or [episode.task] * frames
+        tasks = list(dict.fromkeys(each))
         start = int(self._meta.total_frames)
-        self._meta.save_episode_tasks([task])
+        self._meta.save_episode_tasks(tasks)
+        number = {task: self._meta.get_task_index(task) for task in tasks}
         frame_index = np.arange(frames)
         place_of_frames = {
             "timestamp": frame_index / self._meta.fps,
             "frame_index": frame_index,
             "episode_index": np.full(frames, self._meta.total_episodes),
             "index": start + frame_index,
-            "task_index": np.full(frames, self._meta.get_task_index(task)),
+            "task_index": np.array([number[task] for task in each]),
         }
-        added = encode_episode(place_of_frames, self._meta.features, task)
-        columns = {key: table[key] for table in (episode.table, added.table) for key in table.column_names}
+        added = encode_episode(place_of_frames, self._meta.features, "")
+        tables = (episode.table, carried.table, added.table)
+        columns = {key: table[key] for table in tables for key in table.column_names}
         columns |= pictures.images
         self._write(pa.Table.from_arrays([columns[key] for key in self._schema.names], schema=self._schema))
         chunk, file = self._place
@@ -113,9 +139,9 @@ class EpisodeWriter:
         }
         for key, clip in pictures.clips.items():
             place |= self._videos.add(key, clip)
-        found = {**episode.statistics, **added.statistics}
+        found = {**episode.statistics, **carried.statistics, **added.statistics}
         own = {key: found[key] for key in self._schema.names if key in found}
-        self._meta.save_episode(self._meta.total_episodes, frames, [task], {**own, **pictures.statistics}, place)
+        self._meta.save_episode(self._meta.total_episodes, frames, tasks, {**own, **pictures.statistics}, place)
 
     def finalize(self) -> None:
         """Complete the files. May be called more than once."""
@@ -177,7 +203,11 @@ def _statistics(values: np.ndarray, feature: Mapping[str, Any]) -> dict[str, np.
     from lerobot.datasets.compute_stats import auto_downsample_height_width, get_feature_stats, sample_indices
 
     if feature["dtype"] != "image":
-        return get_feature_stats(values, axis=0, keepdims=values.ndim == 1)
+        # of a single frame LeRobot's have other shapes than of more, so that no others can be added; twice is the same, but for the count
+        stats = get_feature_stats(
+            np.repeat(values, 2, axis=0) if len(values) == 1 else values, axis=0, keepdims=values.ndim == 1
+        )
+        return stats | {"count": np.array([len(values)])} if len(values) == 1 else stats
     images = values[sample_indices(len(values))].transpose(0, 3, 1, 2)
     small = np.stack([auto_downsample_height_width(image) for image in images])
     stats = get_feature_stats(small, axis=(0, 2, 3), keepdims=True)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cei_converters.dataset.hidden import link_visible
 from cei_converters.dataset.license import CARD_PATH, copy_license_files, own_file
 from cei_gym.errors import CEIError, one_line
 
@@ -70,13 +71,13 @@ def _stage(root: Path, staged: Path) -> None:
     (staged / "meta").mkdir(parents=True)
     for folder in ("data", "videos"):
         if (root / folder).is_dir():
-            (staged / folder).symlink_to((root / folder).resolve())
+            link_visible(root / folder, staged / folder)
     for name in _META:
         if (root / "meta" / name).is_file():
             shutil.copyfile(root / "meta" / name, staged / "meta" / name)
     info = json.loads((root / "meta/info.json").read_text())
     videos = [key for key, feature in info["features"].items() if feature["dtype"] == "video"]
-    absent = [key for key in videos if not any((root / "videos").glob(f"*/{key}/*.mp4"))]
+    absent = [key for key in videos if not any((staged / "videos").glob(f"*/{key}/*.mp4"))]
     for key in absent:
         print(f"{root.name} declares {key} but has no file of it: left out.")
         del info["features"][key]

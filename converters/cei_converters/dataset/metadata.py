@@ -28,6 +28,7 @@ _MAY_BE_NULL = ("clouds", "total_episodes")
 REQUIRED = "embodiment, scene.T_world_base, scene.cameras (name, width, height, K, T_world_camera)"
 START = "start_qpos"
 """Argument of environments: where the dataset's own demonstrations start."""
+_OPTIONAL = "scene.table_z_m"
 CONVENTIONS = {
     "world": "right-handed, z up, metres",
     "camera": "OpenCV axes: x right, y down, z forward; T_world_camera maps camera to world",
@@ -59,6 +60,8 @@ class Source:
     license_name: str | None = None  # where the identifier is "other"
     license_link: str | None = None
     depth_cameras: tuple[str, ...] = ()  # those whose depth became clouds
+    carried: tuple[str, ...] = ()  # features that were carried over as they are
+    dropped: dict[str, str] = field(default_factory=dict)  # features that were not, and why
 
 
 @dataclass(frozen=True)
@@ -164,7 +167,7 @@ class Metadata:
             *_values(metadata.scene, "scene"),
             ("environment.kwargs", getattr(metadata.environment, "kwargs", None)),
         ]
-        empty = [name for name, value in parts if value is None]
+        empty = [name for name, value in parts if value is None and name != _OPTIONAL]
         if empty:  # draccus takes null for anything
             raise CEIError(f"{where}: {empty[0]} is null; needed: {REQUIRED}.")
         check_scene(metadata.scene, f"{where}: scene")
@@ -215,6 +218,8 @@ def check_scene(scene: Scene, where: str) -> None:
     workspace = scene.workspace_world
     if workspace.shape != (2, 3) or not np.isfinite(workspace).all() or not (workspace[0] < workspace[1]).all():
         raise CEIError(f"{where}: workspace_world should be [[x, y, z] lower, [x, y, z] upper] in metres.")
+    if scene.table_z_m is not None and not math.isfinite(scene.table_z_m):
+        raise CEIError(f"{where}: table_z_m should be a finite number of metres, or null.")
     names = [camera.name for camera in scene.cameras]
     if len(set(names)) != len(names):
         raise CEIError(f"{where}: two cameras share a name among {', '.join(names)}.")

@@ -52,9 +52,13 @@ def _read_shared(path: Path, changed_ns: int, groups: tuple[int, ...], columns: 
 def _row_groups(path: Path, _size: int, _changed_ns: int) -> tuple[pq.FileMetaData, np.ndarray, np.ndarray]:
     """What a file says of itself, and the first and last episode of each row group."""
     footer = pq.read_metadata(path)
-    names = [footer.schema.column(i).path for i in range(footer.num_columns)]
-    if EPISODE not in names:
+    fields = {field.name: field.type for field in footer.schema.to_arrow_schema()}
+    if EPISODE not in fields:
         raise KeyError(f"there is no column {EPISODE}")
+    stored = fields[EPISODE].value_type if pa.types.is_dictionary(fields[EPISODE]) else fields[EPISODE]
+    if not (pa.types.is_integer(stored) or pa.types.is_floating(stored)):
+        raise KeyError(f"{EPISODE} is stored as {fields[EPISODE]}; it should be whole numbers")
+    names = [footer.schema.column(i).path for i in range(footer.num_columns)]
     bounds = []
     for group in range(footer.num_row_groups):
         found = footer.row_group(group).column(names.index(EPISODE)).statistics

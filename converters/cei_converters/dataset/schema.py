@@ -88,12 +88,38 @@ def depth_key(camera: str) -> str:
 
 
 def feature_names(feature: Mapping[str, object]) -> list[str]:
-    """Names of a feature's entries: LeRobot has them as a list, older datasets as a dict with one list."""
-    names = feature.get("names") or []
+    """Names of a feature's entries, in whatever form they are.
+
+    LeRobot has them as a list; others as a list in a list, as groups of lists, as name to place, or leave some out, for which
+    their place stands. A group's name goes before names that several groups have.
+    """
+    names = _flat(feature.get("names"), "", _DEEPEST)
+    plain = [name for _, name in names]
+    if not any(plain):
+        return []
+    if len(set(plain)) < len(plain):
+        plain = [f"{group}.{name}" if group and name else name for group, name in names]
+    return [name or str(place) for place, name in enumerate(plain)]
+
+
+_DEEPEST = 8
+
+
+def _flat(names: object, group: str, deeper: int) -> list[tuple[str, str]]:
+    """Group and name of each; no name where there is none."""
+    if names is None:
+        return []
+    if not isinstance(names, (list, tuple, Mapping)) or not deeper:
+        return [(group, "".join(str(names).split("\n"))[:100])]
     if isinstance(names, Mapping):
-        groups = list(names.values())
-        names = [name for group in groups for name in group] if all(isinstance(g, list) for g in groups) else [*names]
-    return [str(name) for name in (names if isinstance(names, (list, tuple)) else [names])]
+        places = list(names.values())
+        if all(type(place) is int for place in places) and sorted(places) == list(range(len(places))):
+            return [(group, str(name)) for name in sorted(names, key=names.__getitem__)]
+        if not any(isinstance(item, (list, tuple, Mapping)) for item in places):
+            return [(group, str(name)) for name in names]
+        pairs = [(f"{group}.{key}" if group else str(key), item) for key, item in names.items()]
+        return [found for name, item in pairs for found in _flat(item, name, deeper - 1)]
+    return [found for item in names for found in ([(group, "")] if item is None else _flat(item, group, deeper - 1))]
 
 
 def cloud_feature(points: int, columns: int) -> dict:

@@ -2,6 +2,7 @@
 
 import shutil
 import tempfile
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -70,4 +71,5 @@ class VideoFiles:
         with tempfile.TemporaryDirectory(dir=self._root) as folder:
             for i, frame in enumerate(clip.frames):
                 write_image(pictures[frame], Path(folder, f"frame-{i:06d}.png"))
-            encode_video_frames(folder, path, fps, encoder)
+            rate = fps if fps == int(fps) else Fraction(fps).limit_denominator(1001)
+            encode_video_frames(folder, path, rate, encoder)  # pyright: ignore[reportArgumentType]  (FFmpeg's rates are fractions)

@@ -2,8 +2,8 @@
 
 import contextlib
 import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,6 +14,7 @@ from cei_converters import signals
 from cei_converters.dataset import schema
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.card import write_card
+from cei_converters.dataset.carried import Carried
 from cei_converters.dataset.columns import encode
 from cei_converters.dataset.episodes import EncodedEpisode, EpisodeWriter, encode_episode
 from cei_converters.dataset.essentials import with_essentials
@@ -70,6 +71,8 @@ class DatasetWriter:
         provenance: how they came about.
         state_key: where `add` puts the state of objects, one of `schema.STATES_OF_OBJECTS`.
         cameras: LeRobot's features of cameras whose pictures pass through.
+        carried: LeRobot's features of what is carried over.
+        tasks: those that have numbers already, in their order; others follow.
         partial: folder for unfinished files, on the same disk; default: one in a `HiddenFolder`.
 
     Attributes:
@@ -86,6 +89,8 @@ class DatasetWriter:
         provenance: Provenance | None = None,
         state_key: str = schema.PRIVILEGED_STATE,
         cameras: Mapping[str, dict] | None = None,
+        carried: Mapping[str, dict] | None = None,
+        tasks: Sequence[str] = (),
         partial: Path | None = None,
     ) -> None:
         self.repo_id = repo_id
@@ -93,7 +98,7 @@ class DatasetWriter:
         self.environment = environment or Environment()
         self.provenance = provenance or Provenance()
         self._clouds, self._state_key = clouds, state_key
-        self._cameras = dict(cameras or {})
+        self._cameras, self._carried, self._tasks = dict(cameras or {}), dict(carried or {}), list(tasks)
         self._hidden = HiddenFolder(self.root, "cei-record") if partial is None else None
         self._partial = partial or HiddenFolder(self.root, "cei-record").path / "dataset"
         self._token = object()
@@ -117,7 +122,11 @@ class DatasetWriter:
         return self
 
     def add(
-        self, demonstration: Demonstration, record: dict[str, Any] | None = None, pictures: Pictures | None = None
+        self,
+        demonstration: Demonstration,
+        record: dict[str, Any] | None = None,
+        pictures: Pictures | None = None,
+        carried: Carried | None = None,
     ) -> None:
         """Write one episode.
 
@@ -125,13 +134,15 @@ class DatasetWriter:
             demonstration: the episode.
             record: what `meta/cei_episodes.jsonl` shall keep of it (seed, quality, ...).
             pictures: what cameras saw in these frames, if any pass through.
+            carried: what else there is of these frames.
 
         Raises:
             CEIError: the episode does not match the first one, or a depth is out of range.
         """
         header = Header.of(demonstration, self._state_key)
         columns = encode(demonstration, self._state_key)
-        self.append(header, encode_episode(columns, header.features, demonstration.task), record, pictures)
+        episode = encode_episode(columns, header.features, demonstration.task)
+        self.append(header, episode, record, pictures, carried)
 
     def append(
         self,
@@ -139,6 +150,7 @@ class DatasetWriter:
         episode: EncodedEpisode,
         record: dict[str, Any] | None = None,
         pictures: Pictures | None = None,
+        carried: Carried | None = None,
     ) -> None:
         """Write one episode that is encoded already; see `add`."""
         if self._header is None:
@@ -146,22 +158,21 @@ class DatasetWriter:
         else:
             _check_same(self._header, header, f"episode {self._count}")
         assert self._episodes is not None and self._records is not None
-        self._episodes.add(episode, pictures)
+        self._episodes.add(episode, pictures, _encoded(carried, self._carried))
         rows = digest(episode.table, header.features, f"episode {self._count}")
         self._records.add({**(record or {}), ROWS: rows})
         self._count += 1
 
     def _start(self, header: Header) -> None:
-        if header.fps != int(header.fps):
-            raise CEIError(f"fps {header.fps} is not an integer, as LeRobot requires.")
         check_scene(header.scene, "episode 0")
         self._header = header
         self._episodes = EpisodeWriter(
             self.repo_id,
             self._partial,
-            fps=int(header.fps),
-            features=with_essentials(header.features | self._cameras, self._metadata()),
+            fps=int(header.fps) if header.fps == int(header.fps) else header.fps,
+            features=with_essentials(header.features | self._cameras | self._carried, self._metadata()),
             robot_type=header.embodiment,
+            tasks=self._tasks,
         )
         self._records = RecordWriter(self._partial)
 
@@ -208,6 +219,10 @@ class DatasetWriter:
         publish(self._partial, self.root)
 
 
+def _encoded(carried: Carried | None, features: Mapping[str, dict]) -> EncodedEpisode | None:
+    return None if carried is None else replace(carried.encode(features), tasks=carried.tasks)
+
+
 def _check_same(first: Header, other: Header, where: str) -> None:
     for what in ("embodiment", "fps"):
         ours, theirs = getattr(first, what), getattr(other, what)
@@ -230,6 +245,7 @@ def _same_scene(a: Scene, b: Scene) -> bool:
     return (
         np.allclose(a.T_world_base, b.T_world_base)
         and np.allclose(a.workspace_world, b.workspace_world)
+        and a.support_z_m == b.support_z_m
         and len(a.cameras) == len(b.cameras)
         and all(
             (one.name, one.width, one.height) == (other.name, other.width, other.height)

@@ -1,4 +1,4 @@
-"""Calibration of a dataset's depth cameras, from a YAML file."""
+"""Calibration of a dataset: where its depth cameras, its table and its robot's base are, from a YAML file."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -12,15 +12,15 @@ from cei_gym.demonstration import Camera, Scene
 from cei_gym.errors import CEIError, one_line, unknown
 from cei_gym.untrusted import load_yaml
 
-FORMAT = """a calibration (world z up, metres; T_world_camera maps camera to world, axes x right, y down, z forward):
+FORMAT = """a calibration (world z up, metres; T_world_camera maps camera to world, axes x right, y down, z forward); any part may be left out:
   cameras:
     front:  # the last part of the depth feature's key
       width: 640
       height: 480
       K: {fx: 600.0, fy: 600.0, cx: 320.0, cy: 240.0}  # px; or 3x3
       T_world_camera: {position: [1.0, 0.0, 1.5], quaternion_wxyz: [0.0, 0.7071, 0.7071, 0.0]}  # or 4x4
-  workspace_world: [[0.2, -0.5, 0.0], [0.9, 0.5, 1.0]]  # optional: the box clouds are cropped to; its floor is the table
-  T_world_base: {position: [0.0, 0.0, 0.0], quaternion_wxyz: [1.0, 0.0, 0.0, 0.0]}  # optional"""
+  workspace_world: [[0.2, -0.5, 0.0], [0.9, 0.5, 1.0]]  # the box clouds are cropped to; its floor is the table, but for --table_z_m
+  T_world_base: {position: [0.0, 0.0, 0.0], quaternion_wxyz: [1.0, 0.0, 0.0, 0.0]}  # or --source_pose; default: the world's origin"""
 _CAMERA_FIELDS = ("width", "height", "K", "T_world_camera")
 _FIELDS = ("cameras", "workspace_world", "T_world_base")
 
@@ -35,13 +35,15 @@ class Calibration:
         T_world_base: (4, 4) pose of the robot's base.
     """
 
-    cameras: tuple[Camera, ...]
+    cameras: tuple[Camera, ...] = ()
     workspace_world: np.ndarray | None = None
     T_world_base: np.ndarray | None = None
 
     def over(self, scene: Scene) -> Scene:
         """A scene with what the file says in place of its own; cameras that the file does not name stay."""
         given = {name: value for name in _FIELDS[1:] if (value := getattr(self, name)) is not None}
+        if self.workspace_world is not None:  # whose floor is the table
+            given["table_z_m"] = None
         cameras = {camera.name: camera for camera in (*scene.cameras, *self.cameras)}
         return replace(scene, cameras=tuple(cameras.values()), **given)
 
@@ -58,13 +60,18 @@ def load_calibration(path: str | Path) -> Calibration:
     except (OSError, ValueError) as error:
         raise CEIError(f"calibration {path} cannot be read: {one_line(error)}.") from error
     where = path.name
-    fields = _mapping(raw, where, _FIELDS, required=("cameras",))
-    cameras = fields["cameras"]
-    if not isinstance(cameras, dict) or not cameras:
+    fields = _mapping(raw, where, _FIELDS, required=())
+    cameras = {} if fields.get("cameras") is None else fields["cameras"]
+    if cameras == {} and all(fields.get(name) is None for name in _FIELDS[1:]):
+        raise CEIError(f"{where} says nothing; it should have at least one of {', '.join(_FIELDS)}.")
+    if not isinstance(cameras, dict):
         raise CEIError(f"{where}: cameras should map each camera's name to {', '.join(_CAMERA_FIELDS)}.")
+    for name in cameras:
+        if not isinstance(name, str):
+            raise CEIError(f"{where}: cameras: {one_line(name, 60)} should be a name; write it in quotes.")
     workspace, base = fields.get("workspace_world"), fields.get("T_world_base")
     calibration = Calibration(
-        tuple(_camera(str(name), fields, f"{where}: camera {str(name)!r}") for name, fields in cameras.items()),
+        tuple(_camera(name, fields, f"{where}: camera {name!r}") for name, fields in cameras.items()),
         None if workspace is None else _array(workspace, f"{where}: workspace_world"),
         None if base is None else _pose(base, f"{where}: T_world_base"),
     )
@@ -123,10 +130,15 @@ def _mapping(raw: object, where: str, valid: Iterable[str], required: Iterable[s
 def _array(raw: object, where: str, shape: tuple[int, ...] | None = None) -> np.ndarray:
     """Finite numbers, of a shape if one is given."""
     try:
-        array = np.asarray(raw, dtype=float)
-    except (TypeError, ValueError):
+        array = np.array(np.nan) if _has_other(raw) else np.asarray(raw, dtype=float)
+    except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
     if not np.isfinite(array).all() or shape not in (None, array.shape):
         wanted = "numbers in rows of equal length" if shape is None else f"{shape[0]} numbers" if shape else "a number"
         raise CEIError(f"{where} should be {wanted}, not {one_line(raw, 60)}.")
     return array
+
+
+def _has_other(raw: object) -> bool:
+    """Whether anything in lists is no number: NumPy takes yes, no and text in digits for numbers."""
+    return any(map(_has_other, raw)) if isinstance(raw, list) else type(raw) not in (int, float)

@@ -1,16 +1,18 @@
 """The formats that demonstrations come in: which one a path holds."""
 
+from itertools import islice
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
 from cei_converters.dataset import schema
+from cei_converters.dataset.locate import INFO_PATH
 from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.joint_map import load_joint_map
 from cei_converters.sources.recording import Recordings
 from cei_converters.sources.source import Source
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
 
 
 def open_source(
@@ -44,14 +46,15 @@ def open_source(
         "calibration": calibration,
         "joint_map": mapped,
     }
-    if _is_hdf5(root):
+    kind = _kind(root)
+    if kind == HDF5:
         from cei_converters.sources.robomimic import RobomimicSource
 
-        return RobomimicSource(repo_id, root, **options)
-    if _is_zarr(root):
+        return RobomimicSource(repo_id, str(root), **options)
+    if kind == ZARR:
         from cei_converters.sources.zarr_source import ZarrSource
 
-        return ZarrSource(repo_id, root, **options)
+        return ZarrSource(repo_id, str(root), **options)
     from cei_converters.sources.reader import DatasetReader
 
     return DatasetReader(repo_id, root, **options)
@@ -70,24 +73,89 @@ def read_recordings(
     Raises:
         CEIError: it cannot be read, or has no features to choose.
     """
-    if (_is_hdf5(root) or _is_zarr(root)) and (state != schema.STATE or action not in (None, schema.ACTION)):
+    kind = _kind(root)
+    if kind != LEROBOT and (state != schema.STATE or action not in (None, schema.ACTION)):
         raise CEIError(f"{root} has none of LeRobot's features to look at; leave out --state and --action.")
-    if _is_hdf5(root):
+    if kind == HDF5:
         from cei_converters.sources.robomimic import recordings
 
-        return recordings(Path(root), most)
-    if _is_zarr(root):
+        return recordings(Path(str(root)), most)
+    if kind == ZARR:
         from cei_converters.sources.zarr_source import recordings
 
-        return recordings(Path(root), most)
+        return recordings(Path(str(root)), most)
     from cei_converters.sources.reader import recordings
 
     return recordings(repo_id, root, most, state, action)
 
 
-def _is_hdf5(root: str | Path | None) -> TypeGuard[str | Path]:
-    return root is not None and Path(root).suffix in (".hdf5", ".h5") and Path(root).is_file()
+LEROBOT, HDF5, ZARR = "LeRobot", "HDF5", "zarr"
+_HDF5_SUFFIXES = (".hdf5", ".h5", ".hdf")
+_PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".zst")
+_MARKS = (".zgroup", "zarr.json")
+_FEW = 100  # entries of a folder that are looked at
 
 
-def _is_zarr(root: str | Path | None) -> TypeGuard[str | Path]:
-    return root is not None and any(Path(root, mark).is_file() for mark in (".zgroup", "zarr.json"))
+def _kind(root: str | Path | None) -> str:
+    """Which format a path holds; LeRobot's where it is its own business to say what is missing.
+
+    Raises:
+        CEIError: it holds none, but what it holds, or what is near it, says what was meant.
+    """
+    if root is None:
+        return LEROBOT
+    path = Path(root)
+    if path.is_file():
+        return _kind_of_file(path)
+    if any((path / mark).is_file() for mark in _MARKS):
+        return ZARR
+    if path.is_dir() and not (path / INFO_PATH).is_file():
+        _refuse_folder(path)
+    return LEROBOT
+
+
+def _kind_of_file(path: Path) -> str:
+    if path.suffix.lower() in _HDF5_SUFFIXES or _starts_as_hdf5(path):
+        return HDF5
+    if path.suffix.lower() in _PACKED:
+        raise CEIError(f"{path} is packed; unpack it, and give --dataset.root the folder or file that comes out.")
+    for folder in (path.parent, *path.parent.parents):
+        if (folder / INFO_PATH).is_file() or any((folder / mark).is_file() for mark in _MARKS):
+            raise CEIError(f"{path} is a file of a dataset; give --dataset.root the dataset's folder, {folder}.")
+    raise CEIError(
+        f"{path} is of no format that is read: folders of LeRobot, HDF5 of robosuite and robomimic, zarr of DP3 and DemoGen."
+    )
+
+
+def _refuse_folder(path: Path) -> None:
+    """Say which of the things in a folder, or above it, was meant.
+
+    Raises:
+        CEIError: there is one.
+    """
+    try:
+        inside = sorted(entry for entry in islice(path.iterdir(), _FEW) if not entry.name.startswith("."))
+    except OSError as error:
+        raise CEIError(f"{path} cannot be read: {one_line(error)}.") from error
+    files = [entry for entry in inside if entry.is_file() and entry.suffix.lower() in _HDF5_SUFFIXES]
+    folders = [
+        entry
+        for entry in inside
+        if entry.is_dir() and ((entry / INFO_PATH).is_file() or any((entry / mark).is_file() for mark in _MARKS))
+    ]
+    above = [
+        folder
+        for folder in path.absolute().parents
+        if (folder / INFO_PATH).is_file() or any((folder / mark).is_file() for mark in _MARKS)
+    ]
+    if meant := [*files, *folders, *above[:1]]:
+        others = f" (or {', '.join(entry.name for entry in meant[1:4])})" if len(meant) > 1 else ""
+        raise CEIError(f"{path} is a folder, and no dataset by itself; give --dataset.root={meant[0]}{others}.")
+
+
+def _starts_as_hdf5(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(8) == b"\x89HDF\r\n\x1a\n"
+    except OSError:
+        return False

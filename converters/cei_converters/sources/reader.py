@@ -6,19 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from cei_converters.dataset import identity, schema
+from cei_converters.dataset import carried, identity, schema
 from cei_converters.dataset.cameras import Pictures, find_clip, read_pictures
+from cei_converters.dataset.carried import Carried, frame_tasks, read_carried
 from cei_converters.dataset.columns import decode_array, read_columns
 from cei_converters.dataset.decoding import decode_frames, decode_pictures
 from cei_converters.dataset.depth import camera_name, check_depth_feature, image_depth_m, video_depth_m
 from cei_converters.dataset.locate import locate
-from cei_converters.dataset.metadata import restore_with
-from cei_converters.dataset.opening import choose_embodiment, load_lerobot_metadata, load_metadata
+from cei_converters.dataset.metadata import METADATA_PATH, restore_with
+from cei_converters.dataset.opening import choose_embodiment, load_lerobot_metadata, load_metadata, task_texts
 from cei_converters.dataset.records import RECORDS_PATH, ROWS, load_records
+from cei_converters.sources.actions import BoundActions, action_map, bind_actions, of_all_joints
+from cei_converters.sources.binding import BoundJointMap, bind
 from cei_converters.sources.calibration import Calibration
-from cei_converters.sources.joint_map import BoundJointMap, JointMap, bind
+from cei_converters.sources.joint_map import ActionMap, JointMap
 from cei_converters.sources.recording import Recording, Recordings, spread
-from cei_converters.sources.source import Source, scene_without_metadata
+from cei_converters.sources.source import Source, scene_without_metadata, table_from
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.errors import CEIError
 
@@ -58,40 +61,46 @@ class DatasetReader(Source):
         self.embodiment = choose_embodiment(self.root, self.metadata, embodiment)
         scene = self.metadata.scene if self.metadata is not None else scene_without_metadata(T_world_base, calibration)
         self.scene = scene if calibration is None else calibration.over(scene)
+        self.table_from = table_from(calibration) or (METADATA_PATH if self.metadata is not None else "")
         self._meta = load_lerobot_metadata(repo_id, self.root)
         self.records = load_records(self.root, int(self._meta.total_episodes))
         self.fps = float(self._meta.fps)
         self.has_clouds = schema.POINT_CLOUD in self._meta.features
-        self._bound = self._bind(joint_map)
+        self._tasks = task_texts(self._meta, self.root)
+        self._bound, self._actions = self._bind(joint_map)
+        self.quick = self._bound is None or self._bound.pose is None
         self._check_features()
 
-    def _bind(self, joint_map: JointMap | None) -> BoundJointMap | None:
-        features = self._meta.features
-        self._state, self._action = schema.STATE, schema.ACTION
-        if joint_map is not None:
-            self._state, self._action = joint_map.state, joint_map.action
-        for key in filter(None, (self._state, self._action)):
-            if key not in features:
-                raise CEIError(f"{self.root.name} has no feature {key!r}. It has: {', '.join(features)}.")
-        if joint_map is None:
-            return None
-        (count,) = shape = tuple(features[self._state]["shape"])
-        if self._action is not None and tuple(features[self._action]["shape"]) != shape:
+    def _bind(self, joint_map: JointMap | None) -> tuple[BoundJointMap | None, BoundActions | None]:
+        features, body = self._meta.features, self.embodiment
+        self._state = schema.STATE if joint_map is None else joint_map.state
+        said = _DEFAULT_ACTION if joint_map is None else action_map(joint_map, _DEFAULT_ACTION)
+        columns = [
+            _columns(features, key, self.root) for key in (self._state, said and said.feature) if key is not None
+        ]
+        if joint_map is None or not (joint_map.joints or joint_map.pose):
+            self._check_joint_names(self._state)
+            if said == _DEFAULT_ACTION:
+                self._check_joint_names(schema.ACTION)
+                return None, of_all_joints(body, schema.ACTION)
+        bound = (
+            None if joint_map is None or not (joint_map.joints or joint_map.pose) else bind(joint_map, body, columns[0])
+        )
+        return bound, None if said is None else bind_actions(said, body, columns[1], joint_map, columns[0])
+
+    def _check_joint_names(self, key: str) -> None:
+        body, feature = self.embodiment, self._meta.features[key]
+        try:
+            schema.check_joint_names(schema.feature_names(feature), body, key)
+        except CEIError as error:
             raise CEIError(
-                f"{self._action} has shape {features[self._action]['shape']} but {self._state} {shape}; "
-                "with action: null the joint map takes the next frame's state instead."
-            )
-        names = schema.feature_names(features[self._state])
-        return bind(joint_map, self.embodiment, names if len(names) == count else list(map(str, range(count))))
+                f"{error} Or --joint_map says which columns are which joints; cei-inspect proposes one."
+            ) from error
+        if tuple(feature["shape"]) != (len(body.joint_names),):
+            raise CEIError(f"{key} has shape {feature['shape']} but {len(body.joint_names)} names.")
 
     def _check_features(self) -> None:
         features = self._meta.features
-        for key in (schema.STATE, schema.ACTION) if self._bound is None else ():
-            schema.check_joint_names(schema.feature_names(features[key]), self.embodiment, key)
-            if tuple(features[key]["shape"]) != (len(self.embodiment.joint_names),):
-                raise CEIError(
-                    f"{key} has shape {features[key]['shape']} but {len(self.embodiment.joint_names)} names."
-                )
         calibrated = {camera.name: camera for camera in self.scene.cameras}
         self._depth: dict[str, Camera] = {}
         for key in self._meta.depth_keys:
@@ -114,9 +123,10 @@ class DatasetReader(Source):
         self._rgb = {camera_name(key): key for key in belonging if key not in masks}
         self.cameras = {key: features[key] for key in self._meta.camera_keys if key not in self._depth}
         self._objects = next((key for key in schema.STATES_OF_OBJECTS if key in features), schema.PRIVILEGED_STATE)
-        used = {self._state, self._action, schema.POINT_CLOUD, *schema.STATES_OF_OBJECTS, *self._meta.camera_keys}
-        own = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
-        self.ignored_features = [key for key in features if key not in used | own]
+        action = None if self._actions is None else self._actions.feature
+        used = {self._state, action, schema.POINT_CLOUD, *schema.STATES_OF_OBJECTS, *self._meta.camera_keys}
+        self.carried, self.dropped = carried.choose(features, {key for key in used if key is not None})
+        self.dropped |= carried.of_episodes(self._meta)
 
     def __len__(self) -> int:
         return int(self._meta.total_episodes)
@@ -163,8 +173,8 @@ class DatasetReader(Source):
         """
         self.select([index])
         depth = self._depth if clouds else {}
-        trajectories = [key for key in (self._state, self._action) if key is not None]
-        keys = [*trajectories, self._objects]
+        keys = [self._state, self._objects, "task_index"]
+        keys += [] if self._actions is None else [self._actions.feature]
         rgb = self._rgb if clouds and colours else {}
         images = [key for key in rgb.values() if key in self._meta.image_keys]
         keys = [*keys, schema.POINT_CLOUD, "timestamp", *depth, *images] if clouds else keys
@@ -175,16 +185,16 @@ class DatasetReader(Source):
         values = {
             key: decode_array(table[key], features[key], f"episode {index}, {key}")
             for key in table.column_names
-            if key not in (*depth, *images)
+            if key not in (*depth, *images, "task_index")
         }
-        action = None if self._action is None else values[self._action]
-        joints = self.joints(values[self._state], action, index, self._bound)
+        actions = None if self._actions is None else values[self._actions.feature]
+        joints = self.joints(values[self._state], actions, index, self._bound, self._actions)
         clouds_world = values.get(schema.POINT_CLOUD)
         if clouds_world is not None:
             shape = schema.cloud_shape(features[schema.POINT_CLOUD], schema.POINT_CLOUD)
             clouds_world = clouds_world.reshape(len(clouds_world), *shape)
         environment_state = values.get(self._objects)
-        tasks = self._meta.episodes[index]["tasks"]
+        tasks = frame_tasks(table, self._tasks, index) or self._meta.episodes[index]["tasks"]
         return Demonstration(
             embodiment=self.embodiment.name,
             fps=self.fps,
@@ -219,6 +229,16 @@ class DatasetReader(Source):
         """
         return read_pictures(self.root, self._meta, index, list(self.cameras))
 
+    def carry(self, index: int) -> Carried:
+        """See `Source.carry`."""
+        return read_carried(self.root, self._meta, index, self.carried, self._tasks)
+
+    @property
+    def tasks(self) -> list[str]:
+        """See `Source.tasks`."""
+        counted = sorted(self._tasks) == list(range(len(self._tasks))) == list(range(len(set(self._tasks.values()))))
+        return [self._tasks[number] for number in sorted(self._tasks)] if counted else []
+
     def masks(self, index: int) -> dict[str, np.ndarray]:
         """See `Source.masks`."""
         images = [key for key in self._masks.values() if key in self._meta.image_keys]
@@ -244,29 +264,40 @@ class DatasetReader(Source):
         return depth_m
 
 
+_DEFAULT_ACTION = ActionMap(feature=schema.ACTION)
+
+
+def _columns(features: dict[str, Any], key: str, root: Path) -> list[str]:
+    """Names of a feature's columns; numbers where it has none, or not as many.
+
+    Raises:
+        CEIError: there is no such feature, or it is no row of numbers a frame.
+    """
+    if key not in features:
+        raise CEIError(f"{root.name} has no feature {key!r}. It has: {', '.join(features)}.")
+    dtype, shape = features[key]["dtype"], tuple(features[key]["shape"])
+    if len(shape) != 1 or not dtype.startswith(("float", "int", "uint")):
+        raise CEIError(f"{key} is {dtype} of shape {shape}; it should be a row of numbers a frame.")
+    names = schema.feature_names(features[key])
+    return names if len(names) == shape[0] else [str(i) for i in range(shape[0])]
+
+
 def recordings(repo_id: str, root: str | Path | None, most: int, state: str, action: str | None) -> Recordings:
     """Columns of some episodes; see `read_recordings`."""
     folder = locate(repo_id, root)
     meta = load_lerobot_metadata(repo_id, folder)
-    for key in filter(None, (state, action)):
-        if key not in meta.features:
-            raise CEIError(f"{folder.name} has no feature {key!r}. It has: {', '.join(meta.features)}.")
-    shape = tuple(meta.features[state]["shape"])
-    if len(shape) != 1:
-        raise CEIError(f"{state} should be one row of numbers a frame, not {shape}.")
-    same = action is not None and tuple(meta.features[action]["shape"]) == shape
+    names = _columns(meta.features, state, folder)
+    action_names = [] if action is None else _columns(meta.features, action, folder)
+    keys = [key for key in dict.fromkeys((state, action, "timestamp", "frame_index")) if key is not None]
 
     def episodes() -> Iterator[Recording]:
         for index in spread(meta.total_episodes, most):
-            table = read_columns(folder, meta, index, list(dict.fromkeys(filter(None, (state, action, "timestamp")))))
+            table = read_columns(folder, meta, index, keys)
             found = {
                 key: decode_array(table[key], meta.features[key], f"episode {index}, {key}").astype(float)
                 for key in table.column_names
             }
-            times_s = found["timestamp"].ravel() if "timestamp" in found else None
-            yield Recording(found[state], found[action] if same and action else None, times_s)
+            times_s, numbers = (found[key].ravel() if key in found else None for key in ("timestamp", "frame_index"))
+            yield Recording(index, found[state], None if action is None else found[action], times_s, numbers)
 
-    names = schema.feature_names(meta.features[state])
-    if len(names) != shape[0]:
-        names = [str(i) for i in range(shape[0])]
-    return Recordings(names, float(meta.fps), list(episodes()), meta.total_episodes)
+    return Recordings(names, float(meta.fps), list(episodes()), meta.total_episodes, action_names)

@@ -1,6 +1,7 @@
 """A dataset's columns as they are recorded, before anybody says which joints they are."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,14 +11,18 @@ class Recording:
     """One episode.
 
     Attributes:
+        index: of it, in the dataset.
         state: (T, k).
-        action: (T, k) of the same columns, or None where actions are something else.
+        action: (T, l), or None where there are none.
         times_s: (T,) when, or None.
+        numbers: (T,) each frame's number as it is stored, or None.
     """
 
+    index: int
     state: np.ndarray
     action: np.ndarray | None = None
     times_s: np.ndarray | None = None
+    numbers: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,7 @@ class Recordings:
 
     Attributes:
         names: k columns.
+        action_names: l columns of the actions.
         fps: as declared, or None.
         episodes: those that were read.
         total: how many there are.
@@ -35,6 +41,14 @@ class Recordings:
     fps: float | None
     episodes: list[Recording]
     total: int
+    action_names: Sequence[str] = field(default_factory=tuple)
+
+    @property
+    def same_columns(self) -> bool:
+        """Whether actions have the state's columns, as far as names and numbers say."""
+        return len(self.action_names) == len(self.names) and (
+            list(self.action_names) == list(self.names) or not set(self.action_names) & set(self.names)
+        )
 
 
 def spread(total: int, most: int) -> list[int]:

@@ -1,30 +1,50 @@
 """Read demonstrations of robosuite and robomimic: one HDF5 file, one group an episode."""
 
-import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+import pyarrow as pa
 
+from cei_converters.dataset.carried import OF_THE_ROBOT, Carried
 from cei_converters.dataset.opening import embodiment_without_metadata
+from cei_converters.sources import hdf5
+from cei_converters.sources.actions import BoundActions, action_map, bind_actions
+from cei_converters.sources.binding import bind
 from cei_converters.sources.calibration import Calibration
-from cei_converters.sources.joint_map import JointMap, bind
+from cei_converters.sources.joint_map import ActionMap, JointMap
 from cei_converters.sources.recording import Recording, Recordings, spread
-from cei_converters.sources.source import Source, check_cloud, scene_without_metadata
+from cei_converters.sources.robosuite import ACTIONS, action_entries
+from cei_converters.sources.source import Source, check_cloud, scene_without_metadata, table_from
 from cei_gym.demonstration import Demonstration
-from cei_gym.errors import CEIError, one_line
+from cei_gym.embodiment import Embodiment
+from cei_gym.errors import CEIError
 
 _JOINTS = ("robot0_joint_pos", "robot0_gripper_qpos")
 _CLOUD, _OBJECTS = "point_cloud", "object"
+# of each frame, by robomimic's names, as LeRobot names and types them
+_CARRIED = {"rewards": ("next.reward", "float32"), "dones": ("next.done", "bool")}
+_READ = "there is no reader for it in HDF5"
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What a file's first episode has, which all others must have, too: observations' name to length, and how many entries actions
+    have."""
+
+    columns: dict[str, int]
+    actions: int | None
 
 
 class RobomimicSource(Source):
     """Episodes of an HDF5 file as robomimic lays it out, with observations.
 
     Positions are `obs/robot0_joint_pos` and `obs/robot0_gripper_qpos`; with a joint map, columns are named after all of `obs`
-    that has one row of numbers a frame, such as `robot0_eef_pos.0`. Actions are those of an operational-space controller, so that
-    the next frame's state stands for them.
+    that has one row of numbers a frame, such as `robot0_eef_pos.0`. Of `actions` the gripper's command is taken, and the arm's where
+    its controller takes absolute joint positions (`robosuite`); else the next frame's state stands for them.
 
     Args:
         repo_id, root, embodiment, T_world_base, calibration, joint_map: see `open_source`.
@@ -44,115 +64,267 @@ class RobomimicSource(Source):
         joint_map: JointMap | None = None,
     ) -> None:
         self.repo_id, self.root = repo_id, Path(root)
-        self.embodiment = embodiment_without_metadata(self.root, embodiment)
+        self.embodiment = body = embodiment_without_metadata(self.root, embodiment)
         self.scene = scene_without_metadata(T_world_base, calibration)
-        with _open(self.root) as file:
+        self.table_from = table_from(calibration)
+        by_map = joint_map is not None and bool(joint_map.joints or joint_map.pose)
+        with hdf5.opened(self.root) as file:
             self._names = _episode_names(file, self.root)
-            env = _env_args(file["data"].attrs.get("env_args"))
-            first = _observations(file, self._names[0], self.root)
-            columns = _columns(first) if joint_map is not None else self._joint_columns(first)
-            self.has_clouds = _CLOUD in first
-            names = [numbered for name, size in columns.items() for numbered in _numbered(name, size)]
-        self._columns = list(columns)
-        self.fps = _fps(joint_map, env, self.root)
-        self._task = str(env.get("env_name", ""))
-        self._bound = None if joint_map is None else bind(joint_map, self.embodiment, names)
-        used = {*self._columns, _CLOUD, _OBJECTS}
-        self.ignored_features = [name for name in first if name not in used]
+            env = hdf5.json_attribute(_data(file, self.root), "env_args")
+            episode = self._episode(file, 0)
+            found, elsewhere = _observations(episode, self.root)
+            columns = _columns(found)
+            if not by_map:
+                columns = _joint_columns(columns, found, elsewhere, body, self.root)
+            entries = hdf5.dataset_at(episode, ACTIONS, self.root)
+            self._layout = _Layout(columns, _width(entries, self.root))
+            self.has_clouds = _CLOUD in found
+            self._carried_as = _carried(episode, self.root)
+            self.dropped = elsewhere | _dropped(found, columns, list(self._carried_as), episode)
+            self._task = _task(_data(file, self.root), env)
+        kwargs = env.get("env_kwargs")
+        kwargs = kwargs if isinstance(kwargs, Mapping) else {}
+        self.fps = _fps(joint_map, kwargs, self.root)
+        names = [numbered for name, size in columns.items() for numbered in _numbered(name, size)]
+        self._bound = bind(joint_map, body, names) if by_map and joint_map is not None else None
+        self._actions = self._bind_actions(joint_map, kwargs, names)
+        self.quick = self._bound is None or self._bound.pose is None
+        self.carried = {
+            key: {"dtype": dtype, "shape": (1,), "names": None}
+            for key, dtype in (_CARRIED[name] for name in self._carried_as)
+        }
+
+    def _bind_actions(
+        self, joint_map: JointMap | None, kwargs: Mapping[str, Any], names: list[str]
+    ) -> BoundActions | None:
+        width, body = self._layout.actions, self.embodiment
+        said = ActionMap() if joint_map is None else action_map(joint_map, ActionMap())
+        if said is None:
+            return None
+        if said == ActionMap():
+            if width is None:
+                raise CEIError(
+                    f"{self.root} has no {ACTIONS}, so that nothing says what the gripper was told; a joint map (--joint_map) with action: null takes "
+                    "the next frame's state for it."
+                )
+            said = action_entries(kwargs, body, width, str(self.root))
+        if said.feature not in (None, ACTIONS) or width is None:
+            raise CEIError(f"{self.root} has no {said.feature or ACTIONS!r} for actions; HDF5 has them in {ACTIONS!r}.")
+        said = ActionMap(ACTIONS, said.kind, said.joints, said.ignore)
+        return bind_actions(said, body, [str(i) for i in range(width)], joint_map, names)
 
     def __len__(self) -> int:
         return len(self._names)
 
     def frames(self, index: int) -> int:
         """Frames of an episode, without reading it."""
-        with _open(self.root) as file:
-            return len(_observations(file, self._names[index], self.root)[self._columns[0]])
+        with hdf5.opened(self.root) as file:
+            return len(self._checked(file, index)[0][next(iter(self._layout.columns))])
 
     def read(self, index: int, *, clouds: bool = True, colours: bool = True) -> Demonstration:
         """One episode; see `Source.read`."""
         self.select([index])
-        with _open(self.root) as file:
-            found = _observations(file, self._names[index], self.root)
-            try:
-                state = np.column_stack([found[name][()] for name in self._columns])
-                objects = found[_OBJECTS][()].astype(np.float64) if _OBJECTS in found else None
-                cloud = found[_CLOUD][()] if clouds and self.has_clouds else None
-            except (KeyError, OSError, ValueError, TypeError) as error:
-                raise CEIError(f"{self.root}, episode {index}, cannot be read ({one_line(error)}).") from error
-        joints = self.joints(state, None, index, self._bound)
+        where = f"{self.root}, {self._names[index]}"
+        cloud = None
+        with hdf5.opened(self.root) as file:
+            found, entries = self._checked(file, index)
+            state = np.column_stack([hdf5.read(found[name], self.root) for name in self._layout.columns])
+            objects = hdf5.read(found[_OBJECTS], self.root).astype(np.float64) if _OBJECTS in found else None
+            actions = None if entries is None else hdf5.read(entries, self.root)
+            if clouds and self.has_clouds:
+                cloud = check_cloud(hdf5.read(found[_CLOUD], self.root), len(state), where)
+        if objects is not None and (objects.ndim != 2 or len(objects) != len(state)):
+            raise CEIError(
+                f"{where}: obs/{_OBJECTS} has shape {objects.shape}; it should have {len(state)} rows of numbers."
+            )
+        joints = self.joints(state, actions, index, self._bound, self._actions)
         return Demonstration(
             embodiment=self.embodiment.name,
             fps=self.fps,
             qpos=joints.qpos,
             action=joints.action,
             scene=self.scene,
-            task=self._task,
-            point_cloud_world=None if cloud is None else check_cloud(cloud, len(state), f"episode {index}"),
+            task=self._task_of(index),
+            point_cloud_world=cloud,
             environment_state=objects,
             environment_state_names=() if objects is None else tuple(_numbered(_OBJECTS, objects.shape[1])),
             index=index,
             figures=joints.figures,
         )
 
-    def _joint_columns(self, found: dict[str, Any]) -> dict[str, int]:
-        if missing := [name for name in _JOINTS if name not in found]:
+    def carry(self, index: int) -> Carried:
+        """See `Source.carry`."""
+        columns: dict[str, np.ndarray | pa.Array] = {}
+        with hdf5.opened(self.root) as file:
+            episode = self._episode(file, index)
+            for name in self._carried_as:
+                key, dtype = _CARRIED[name]
+                if key not in self.carried:
+                    continue
+                data = hdf5.dataset_at(episode, name, self.root)
+                if data is None or data.shape not in ((n := self.frames(index),), (n, 1)):
+                    raise CEIError(
+                        f"{self.root}, {self._names[index]}: {name} should be one number for each of its frames; leave it out with "
+                        f"--drop_features={key}."
+                    )
+                columns[key] = hdf5.read(data, self.root).reshape(-1).astype(dtype)
+        return Carried(columns)
+
+    def _task_of(self, index: int) -> str:
+        with hdf5.opened(self.root) as file:
+            said = hdf5.json_attribute(self._episode(file, index), "ep_meta").get("lang")
+        return said if isinstance(said, str) else self._task
+
+    def _episode(self, file: h5py.File, index: int) -> h5py.Group:
+        episode = hdf5.group_at(_data(file, self.root), self._names[index], self.root)
+        assert episode is not None
+        return episode
+
+    def _checked(self, file: h5py.File, index: int) -> tuple[dict[str, h5py.Dataset], h5py.Dataset | None]:
+        """An episode's observations and actions, all with a row a frame and as long as the first episode's.
+
+        Raises:
+            CEIError: naming what differs.
+        """
+        where, episode = f"{self.root}, {self._names[index]}", self._episode(file, index)
+        found, elsewhere = _observations(episode, self.root)
+        rows: dict[str, int] = {}
+        for name, size in self._layout.columns.items():
+            if name not in found:
+                raise CEIError(
+                    f"{where} lacks obs/{name}, which {self._names[0]} has{_why(elsewhere, name)}; leave it out with --episodes."
+                )
+            shape = found[name].shape
+            if len(shape) != 2 or shape[1] != size:
+                raise CEIError(
+                    f"{where}: obs/{name} has shape {shape}; as in {self._names[0]} it should have {size} columns."
+                )
+            rows[f"obs/{name}"] = shape[0]
+        entries = None
+        if self._actions is not None:
+            entries = hdf5.dataset_at(episode, ACTIONS, self.root)
+            if (width := _width(entries, self.root)) != self._layout.actions or entries is None:
+                raise CEIError(
+                    f"{where}: {ACTIONS} has {width or 'no'} entries; as in {self._names[0]} it should have {self._layout.actions}."
+                )
+            rows[ACTIONS] = entries.shape[0]
+        if self.has_clouds and _CLOUD not in found:
             raise CEIError(
-                f"{self.root} lacks obs/{missing[0]}; it has: {', '.join(found)}. --joint_map may say what to take."
+                f"{where} lacks obs/{_CLOUD}, which {self._names[0]} has{_why(elsewhere, _CLOUD)}; leave it out with --episodes."
             )
-        columns = {name: _columns(found).get(name, 0) for name in _JOINTS}
-        recorded, wanted = sum(columns.values()), len(self.embodiment.joint_names)
-        if recorded != wanted:
+        if len(set(rows.values())) > 1:
+            counts = ", ".join(f"{count} of {name}" for name, count in rows.items())
             raise CEIError(
-                f"{self.root} has {recorded} joints but {self.embodiment.name} has {wanted}; choose another --source, or say with "
-                "--joint_map which is which."
+                f"{where} has {counts}: as many rows should be of each, one a frame; leave it out with --episodes."
             )
-        return columns
+        return found, entries
 
 
-def _open(root: Path) -> h5py.File:
-    try:
-        return h5py.File(root, "r")
-    except OSError as error:
-        raise CEIError(f"{root} cannot be read as HDF5 ({one_line(error)}).") from error
+def _data(file: h5py.File, root: Path) -> h5py.Group:
+    found = hdf5.group_at(file, "data", root)
+    if found is None:
+        raise CEIError(f"{root} has no episodes: the group 'data' is missing or empty.")
+    return found
 
 
 def _episode_names(file: h5py.File, root: Path) -> list[str]:
-    groups = file.get("data")
-    if not isinstance(groups, h5py.Group) or not len(groups):
+    data = _data(file, root)
+    names = hdf5.groups_in(data)
+    if not names:
         raise CEIError(f"{root} has no episodes: the group 'data' is missing or empty.")
-    return sorted(groups, key=lambda name: (len(name), name))  # demo_10 comes after demo_9
+    return sorted(names, key=lambda name: (len(name), name))  # demo_10 comes after demo_9
 
 
-def _observations(file: h5py.File, episode: str, root: Path) -> dict[Any, Any]:
-    """Datasets under `obs`, none of them in another file."""
-    group = file.get(f"data/{episode}/obs")
-    if not isinstance(group, h5py.Group):
-        raise CEIError(f"{root}, {episode}, has no observations; make them with robomimic's dataset_states_to_obs.py.")
-    inside = [name for name in group if isinstance(group.get(name, getlink=True), h5py.HardLink)]
-    return {name: data for name in inside if isinstance(data := group[name], h5py.Dataset) and not data.external}
+def _observations(episode: h5py.Group, root: Path) -> tuple[dict[str, h5py.Dataset], dict[str, str]]:
+    """Datasets under `obs`, and why others there are not taken."""
+    group = hdf5.group_at(episode, "obs", root)
+    if group is None:
+        name = (episode.name or "").rpartition("/")[2]
+        raise CEIError(f"{root}, {name}, has no observations; make them with robomimic's dataset_states_to_obs.py.")
+    return hdf5.datasets_in(group, root)
 
 
-def _columns(found: dict[str, Any]) -> dict[str, int]:
+def _columns(found: Mapping[str, h5py.Dataset]) -> dict[str, int]:
     """Observations with a row of numbers a frame: name to length."""
     return {name: data.shape[1] for name, data in found.items() if data.ndim == 2 and data.dtype.kind in "fiu"}
+
+
+def _joint_columns(
+    columns: Mapping[str, int],
+    found: Mapping[str, h5py.Dataset],
+    elsewhere: Mapping[str, str],
+    body: Embodiment,
+    root: Path,
+) -> dict[str, int]:
+    for name in _JOINTS:
+        if name in columns:
+            continue
+        stored = (
+            f"; it is stored as {found[name].dtype} of shape {found[name].shape}"
+            if name in found
+            else _why(elsewhere, name)
+        )
+        raise CEIError(
+            f"{root} lacks obs/{name} with a row of numbers a frame{stored}; it has: {', '.join(found)}. --joint_map may say what to take."
+        )
+    chosen = {name: columns[name] for name in _JOINTS}
+    recorded, wanted = sum(chosen.values()), len(body.joint_names)
+    if recorded != wanted:
+        raise CEIError(
+            f"{root} has {recorded} joints but {body.name} has {wanted}; choose another --source, or say with --joint_map which is which."
+        )
+    return chosen
+
+
+def _why(elsewhere: Mapping[str, str], name: str) -> str:
+    return f" (it is {elsewhere[name]})" if name in elsewhere else ""
+
+
+def _width(entries: h5py.Dataset | None, root: Path) -> int | None:
+    if entries is None:
+        return None
+    if entries.ndim != 2 or entries.dtype.kind not in "fiu":
+        raise CEIError(
+            f"{root}: {entries.name} is {entries.dtype} of shape {entries.shape}; it should be rows of numbers."
+        )
+    return int(entries.shape[1])
+
+
+def _carried(episode: h5py.Group, root: Path) -> list[str]:
+    return [
+        name
+        for name in _CARRIED
+        if isinstance(episode.get(name, getlink=True), h5py.HardLink)
+        and hdf5.dataset_at(episode, name, root) is not None
+    ]
+
+
+def _dropped(
+    found: Mapping[str, h5py.Dataset], columns: Mapping[str, int], carried: Sequence[str], episode: h5py.Group
+) -> dict[str, str]:
+    """Name to reason of what is not taken."""
+    used = {*columns, _CLOUD, _OBJECTS}
+    observed = {name: OF_THE_ROBOT if data.ndim < 3 else _READ for name, data in found.items() if name not in used}
+    others = [str(name) for name in episode if name not in ("obs", ACTIONS, *carried)]
+    return observed | {
+        name: _READ if name != "states" else "the simulator's, the source robot in it" for name in others
+    }
 
 
 def _numbered(name: str, size: int) -> list[str]:
     return [f"{name}.{i}" for i in range(size)]
 
 
-def _env_args(text: Any) -> dict[str, Any]:
-    try:
-        found = json.loads(text)
-    except (TypeError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
+def _task(data: h5py.Group, env: Mapping[str, Any]) -> str:
+    """What episodes show, in words: LIBERO's instruction, else the environment's name."""
+    said = hdf5.json_attribute(data, "problem_info").get("language_instruction")
+    said = said if isinstance(said, str) else env.get("env_name")
+    return said if isinstance(said, str) else ""
 
 
-def _fps(joint_map: JointMap | None, env: dict[str, Any], root: Path) -> float:
-    kwargs = env.get("env_kwargs")
-    fps = (joint_map and joint_map.fps) or (kwargs.get("control_freq") if isinstance(kwargs, dict) else None)
-    if not isinstance(fps, (int, float)) or not 0 < fps < 10_000:
+def _fps(joint_map: JointMap | None, kwargs: Mapping[str, Any], root: Path) -> float:
+    fps = (joint_map and joint_map.fps) or kwargs.get("control_freq")
+    if not isinstance(fps, (int, float)) or isinstance(fps, bool) or not 0 < fps < 10_000:
         raise CEIError(f"{root} does not say how many frames a second it has; --joint_map can, by fps: 20.")
     return float(fps)
 
@@ -163,15 +335,21 @@ def recordings(root: Path, most: int) -> Recordings:
     Raises:
         CEIError: the file cannot be read.
     """
-    with _open(root) as file:
+    with hdf5.opened(root) as file:
         names = _episode_names(file, root)
-        env, first = _env_args(file["data"].attrs.get("env_args")), _observations(file, names[0], root)
-        columns = _columns(first)
-        episodes = [
-            Recording(np.column_stack([found[name][()] for name in columns]).astype(float))
-            for found in (_observations(file, names[i], root) for i in spread(len(names), most))
-        ]
+        env = hdf5.json_attribute(_data(file, root), "env_args")
+        episodes, columns = [], {}
+        for i in spread(len(names), most):
+            episode = hdf5.group_at(_data(file, root), names[i], root)
+            assert episode is not None
+            found, _ = _observations(episode, root)
+            columns = columns or _columns(found)
+            if missing := [name for name in columns if name not in found]:
+                raise CEIError(f"{root}, {names[i]} lacks obs/{missing[0]}, which the first episode has.")
+            episodes.append(
+                Recording(i, np.column_stack([hdf5.read(found[name], root) for name in columns]).astype(float))
+            )
     kwargs = env.get("env_kwargs")
-    fps = kwargs.get("control_freq") if isinstance(kwargs, dict) else None
+    fps = kwargs.get("control_freq") if isinstance(kwargs, Mapping) else None
     numbered = [name for column, size in columns.items() for name in _numbered(column, size)]
     return Recordings(numbered, fps, episodes, len(names))

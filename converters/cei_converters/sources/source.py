@@ -3,26 +3,29 @@
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.carried import Carried
 from cei_converters.dataset.essentials import Remains
 from cei_converters.dataset.metadata import Metadata, restore_with
+from cei_converters.sources.actions import BoundActions
+from cei_converters.sources.binding import BoundJointMap
 from cei_converters.sources.calibration import Calibration
-from cei_converters.sources.joint_map import BoundJointMap
+from cei_converters.sources.joint_map import ABSOLUTE
+from cei_converters.sources.plausible import check_actions
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import Embodiment
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, unknown
 from cei_gym.kinematics.inverse import follow_link
 
 # how far outside its range a joint may be read before its unit must be wrong
 UNIT_SLACK = {"rad": np.pi, "m": 0.5}
-WRONG_UNIT = {"rad": "degrees; convert to rad", "m": "millimetres or percent; convert to m"}
-# stands in for the workspace of a dataset that does not say: about any arm's reach
+# stands in for the workspace of a dataset that does not say: about any arm's reach; where the table is, it says nothing of
 DEFAULT_WORKSPACE_M = np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
 
 
@@ -42,6 +45,8 @@ class Source(ABC):
         repo_id: name of the dataset.
         root: its folder or file.
         embodiment, scene: of all its episodes.
+        quick: whether joints are read in no time: not by inverse kinematics.
+        table_from: who says where the scene's table is; empty if nobody does.
         metadata: contents of `meta/cei.json`, or None.
         records: what is known of each episode (seed, quality, ...), of those that it is known of.
         fps: frames a second.
@@ -49,13 +54,16 @@ class Source(ABC):
         segmented: whether pictures say where depth cameras see objects.
         depth_cameras: names of the cameras whose depth is read.
         cameras: LeRobot's features of the others, whose pictures are not looked at.
-        ignored_features: names of what is neither read nor a picture.
+        carried: LeRobot's features of what does not depend on the robot, and is carried over.
+        dropped: names of what is neither read, carried nor a picture, and why.
     """
 
     repo_id: str
     root: Path
     embodiment: Embodiment
     scene: Scene
+    quick: bool = True
+    table_from: str = ""
     metadata: Metadata | None = None
     records: Sequence[Mapping[str, Any]] = ()
     fps: float
@@ -63,7 +71,13 @@ class Source(ABC):
     segmented: bool = False
     depth_cameras: tuple[str, ...] = ()
     cameras: Mapping[str, dict] = {}
-    ignored_features: Sequence[str] = ()
+    carried: dict[str, dict]
+    dropped: dict[str, str]
+
+    @property
+    def tasks(self) -> list[str]:
+        """All of the dataset's, in the order of their numbers, where it has them; else none."""
+        return []
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -122,6 +136,30 @@ class Source(ABC):
         """
         return Pictures()
 
+    def carry(self, index: int) -> Carried:
+        """What does not depend on the robot, as it is stored.
+
+        Raises:
+            CEIError: it is missing or damaged.
+        """
+        return Carried()
+
+    def set_table(self, z_m: float, said_by: str) -> None:
+        """Say where the table is: its height in the world, m."""
+        self.scene, self.table_from = replace(self.scene, table_z_m=z_m), said_by
+
+    def drop(self, names: Sequence[str], reason: str) -> None:
+        """Carry features no more.
+
+        Raises:
+            CEIError: one is not carried.
+        """
+        for name in names:
+            if name not in self.carried:
+                raise unknown("feature that is carried over", name, self.carried)
+            del self.carried[name]
+            self.dropped[name] = reason
+
     def masks(self, index: int) -> dict[str, np.ndarray]:
         """Depth camera's name to (T, H, W) bool, where it sees objects; none without a feature that says so.
 
@@ -148,17 +186,25 @@ class Source(ABC):
             raise CEIError(f"the selection of episodes repeats {most}.")
         return list(episodes)
 
-    def joints(self, state: np.ndarray, action: np.ndarray | None, index: int, bound: BoundJointMap | None) -> Joints:
+    def joints(
+        self,
+        state: np.ndarray,
+        values: np.ndarray | None,
+        index: int,
+        bound: BoundJointMap | None,
+        actions: BoundActions | None,
+    ) -> Joints:
         """Checked joints of an episode.
 
         Args:
             state: (T, k) as recorded.
-            action: (T, k) likewise; None takes the next frame's state for it.
+            values: (T, l) of the feature with the actions, likewise.
             index: of the episode.
-            bound: which columns are which joints; None if they are the embodiment's, in its order.
+            bound: which columns of the state are which joints; None if they are the embodiment's, in its order.
+            actions: what the others say; None takes the next frame's state for them.
 
         Raises:
-            CEIError: a value is not finite, or in the wrong unit.
+            CEIError: a value is not finite, or in the wrong unit, or actions are not what they are said to be.
         """
         where = f"episode {index}"
         state = state.astype(np.float64)
@@ -169,12 +215,20 @@ class Source(ABC):
             _check_finite(state[:, bound.pose_columns], where, "pose", [f"column {c}" for c in bound.pose_columns])
             qpos, figures = self._recover(bound, state, qpos, where)
         self._check_values(qpos, where, "observation.state")
-        if action is None or (bound is not None and bound.pose is not None):
+        self._check_widths(qpos, where)
+        if actions is None or values is None:
             return Joints(qpos, np.concatenate([qpos[1:], qpos[-1:]]), figures)
-        action = action.astype(np.float64)
-        # before a map clips them: what is far off is in the wrong unit
-        self._check_values(action if bound is None else bound.qpos(action), where, "action")
-        return Joints(qpos, action if bound is None else bound.targets(action), figures)
+        values = values.astype(np.float64)
+        if not np.isfinite(values[:, actions.column]).all():
+            _check_finite(values, where, actions.feature, [f"column {c}" for c in range(values.shape[1])])
+        body = self.embodiment
+        # before limits clip them: what is far off is in the wrong unit
+        meant = np.where(actions.of_kind(ABSOLUTE), actions.absolute(values), body.coupled.reduce(qpos))
+        self._check_values(body.coupled.expand(meant), where, actions.feature)
+        check_actions(actions, values, qpos, self.fps, where)
+        if actions.as_it_is:
+            self._check_values(values, where, actions.feature)
+        return Joints(qpos, actions.targets(values, qpos, self.fps), figures)
 
     def _recover(self, bound: BoundJointMap, state: np.ndarray, qpos: np.ndarray, where: str):
         assert bound.pose is not None and self.embodiment.arm is not None
@@ -197,11 +251,42 @@ class Source(ABC):
         if len(far):
             frame, joint = far[0]
             unit = body.joint_units[joint]
-            limits = f"[{body.lower[joint]:.4g}, {body.upper[joint]:.4g}] {unit}"
             raise CEIError(
-                f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is "
-                f"{values[frame, joint]:.4g} {unit}, far outside {limits}; it looks like {WRONG_UNIT[unit]}."
+                f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is {values[frame, joint]:.4g} {unit}, far outside "
+                f"{self._limits(joint)}; it looks like {_likely(unit, float(np.abs(values[:, joint]).max()))}."
             )
+
+    def _check_widths(self, qpos: np.ndarray, where: str) -> None:
+        """Refuse fingers that slide and are far beyond their limits for long: the distance of two is twice as much."""
+        body = self.embodiment
+        if len(qpos) < _LEAST_FRAMES:
+            return
+        for q in body.coupled.independent:
+            wide = qpos[:, q] > body.upper[q] + 0.5 * (body.upper[q] - body.lower[q])
+            if q >= body.n_arm and body.joint_units[q] == "m" and wide.mean() > 0.1:
+                raise CEIError(
+                    f"{where}, frame {np.argmax(wide)}, joint {body.joint_names[q]}: observation.state is {qpos[np.argmax(wide), q]:.4g} m, far "
+                    f"outside {self._limits(q)}, and so in {100 * wide.mean():.0f} % of the frames; it looks like the distance of two fingers, or another "
+                    "gripper's; a joint map says so by unit: normalised, range: [closed, open]."
+                )
+
+    def _limits(self, q: int) -> str:
+        body = self.embodiment
+        return f"[{body.lower[q]:.4g}, {body.upper[q]:.4g}] {body.joint_units[q]}"
+
+
+_LEAST_FRAMES = 12
+
+
+def _likely(unit: str, extent: float) -> str:
+    """What a joint's column may be whose largest number is far beyond the joint's limits, and what a joint map would say."""
+    if unit == "m":
+        return "millimetres or percent; convert to m, or say so in a joint map, by unit: mm, or unit: normalised, range: [0, 100]"
+    if extent > 400:
+        return "servo ticks; a joint map says so by unit: ticks, range: [at the lower limit, at the upper limit]"
+    if extent <= 101:
+        return "degrees or LeRobot's -100 to 100; a joint map says which, by unit: deg or unit: normalised, range: [-100, 100]"
+    return "degrees; convert to rad, or say so in a joint map, by unit: deg"
 
 
 def _check_finite(values: np.ndarray, where: str, key: str, names: Sequence[str]) -> None:
@@ -231,8 +316,15 @@ def check_cloud(cloud: np.ndarray, frames: int, where: str) -> np.ndarray:
 
 
 def scene_without_metadata(T_world_base: np.ndarray | None, calibration: Calibration | None) -> Scene:
-    """What is known of the scene of a dataset that does not say: at best where its base is."""
-    if T_world_base is None and calibration is not None:
-        T_world_base = calibration.T_world_base
-    T_world_base = np.eye(4) if T_world_base is None else T_world_base
-    return Scene(T_world_base=T_world_base, cameras=(), workspace_world=DEFAULT_WORKSPACE_M + T_world_base[:3, 3])
+    """What is known of the scene of a dataset that does not say. Where its table is, only a calibration's workspace says."""
+    if T_world_base is None:
+        T_world_base = (
+            np.eye(4) if calibration is None or calibration.T_world_base is None else calibration.T_world_base
+        )
+    scene = Scene(T_world_base, (), DEFAULT_WORKSPACE_M + T_world_base[:3, 3])
+    return scene if calibration is None else replace(calibration, T_world_base=None).over(scene)
+
+
+def table_from(calibration: Calibration | None) -> str:
+    """Who says where the table is, if a calibration does."""
+    return "the calibration's workspace" if calibration is not None and calibration.workspace_world is not None else ""
