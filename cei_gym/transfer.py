@@ -244,10 +244,8 @@ class Transfer:
             demonstration, scenes = demonstration.at(frames), [scenes[t] for t in frames] if scenes else scenes
             depth_m = attempt.squeeze * self._squeeze_m(demonstration, motion)
             closing = replace(track, u=squeeze(self.problem, track.u, depth_m))
-        # As datasets store and environments observe joints, so that clouds show the target just where they say.
-        qpos = self.target.coupled.expand(track.u).astype(np.float32).astype(float)
         # a_t = q_(t+1); the last frame holds.
-        action = self.target.coupled.expand(np.concatenate([closing.u[1:], closing.u[-1:]]))
+        qpos, action = (self._joints(u) for u in (track.u, np.concatenate([closing.u[1:], closing.u[-1:]])))
         base = self._base(demonstration)
         return (
             replace(
@@ -303,6 +301,10 @@ class Transfer:
         held = np.zeros(len(demonstration), bool) if motion.grip is None else motion.grip.held
         middle = motion.points_base.mean(axis=1) @ T_world_target[:3, :3].T + T_world_target[:3, 3]
         return Handling(held, middle, T_world_target @ self._source_links(demonstration)[:, self._root])
+
+    def _joints(self, u: np.ndarray) -> np.ndarray:
+        """(T, n) joint positions as datasets store and environments observe them, so that clouds show the target just where they say."""
+        return self.target.coupled.expand(u).astype(np.float32).astype(float)
 
     def _with_pads(self, representation: str) -> "Transfer":
         """This transfer with other points on the pads; it starts where this one does."""

@@ -107,7 +107,7 @@ def rename_joint(root: Path, position: int, name: str) -> None:
         ({"init__modes": "0"}, "init.modes=0 must be at least 1."),
         ({"init": "given"}, "init.method=given and init.qpos go together: give both or neither."),
         ({"solver__backend": "cuda"}, "unknown solver.backend 'cuda'. Valid: auto, numba, torch, paper."),
-        ({"solver__device": "gpu"}, "unknown solver.device 'gpu'. Valid: auto, cpu, cuda, mps."),
+        ({"solver__device": "gpu"}, "unknown solver.device 'gpu'. Did you mean 'cpu'? Valid: auto, cpu, cuda, mps."),
         (
             {"solver__device": "cuda"},
             "solver.device=cuda is where torch computes, which solver.backend=auto does without; give solver.backend=torch, or leave "

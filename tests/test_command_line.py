@@ -175,7 +175,8 @@ def test_what_is_required_is_named() -> None:
         ("file: 007", "7"),
         ("file: a\ngroup: {name: b}", "a"),
         ("file: 1.5", "file is 1.5; put it in quotes if that is its name"),
-        ("file: yes", "file is True; put it in quotes"),
+        ("file: true", "file is True; put it in quotes"),
+        ("file: yes", "yes"),  # a truth in YAML 1.1 only
         ("file: null", "--file is null; give it a value, or leave it out"),
         ("file: [a]", "put it in quotes"),
         ("file: a\ncount: 1.5", "count=1.5 should be a whole number"),

@@ -255,7 +255,7 @@ def test_older_layouts_are_read(version: str, tmp_path: Path) -> None:
     assert [reader.source_episode(i) for i in range(2)] == [1, 0]
     assert reader.metadata is not None and reader.metadata.clouds == {"points": 1024, "tau_m": 0.01}
     assert reader.metadata.environment == Environment(environment["id"], environment["kwargs"])
-    assert reader.ignored_features == []
+    assert reader.dropped == {}
     with DatasetWriter(REPO_ID, tmp_path / "newer") as writer:
         for episode in reader:
             writer.add(episode)

@@ -181,7 +181,7 @@ def film(reader: DatasetReader, index: int) -> np.ndarray:
 def test_episodes_are_the_originals(name: str, made: Made) -> None:
     reader = DatasetReader("me/edited", made.folder / name)
     assert len(reader) == len(RESULTS[name])
-    assert reader.ignored_features == []
+    assert reader.dropped == {}
     for index, (original, episode) in enumerate(RESULTS[name]):
         before = DatasetReader("me/original", made.folder / original)
         ours, theirs = reader.read(index), before.read(episode)

@@ -132,19 +132,19 @@ def test_gate() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "code", "message"),
     [
-        (["--min_quality=1.5"], "--min_quality=1.5: qualities are from 0 to 1."),
-        (["--flag=-0.1"], "--flag=-0.1: qualities are from 0 to 1."),
-        (["--flag=nan"], "--flag=nan: qualities are from 0 to 1."),
-        (["--min_quality=0.5", "--flag=0.5"], "--flag=0.5 marks nothing that --min_quality=0.5 keeps"),
-        (["--min_quality=1"], "no episode of 5 reaches --min_quality=1 (the best has 0."),
+        (["--min_quality=1.5"], 2, "--min_quality=1.5: qualities are from 0 to 1."),
+        (["--flag=-0.1"], 2, "--flag=-0.1: qualities are from 0 to 1."),
+        (["--flag=nan"], 2, "--flag=nan should be a finite number."),
+        (["--min_quality=0.5", "--flag=0.5"], 2, "--flag=0.5 marks nothing that --min_quality=0.5 keeps"),
+        (["--min_quality=1"], 1, "no episode of 5 reaches --min_quality=1 (the best has 0."),
     ],
 )
 def test_bad_bounds(
-    options: list[str], message: str, source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+    options: list[str], code: int, message: str, source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    assert convert.main(killed.arguments(source, tmp_path / "out", *options)) == 1
+    assert convert.main(killed.arguments(source, tmp_path / "out", *options)) == code
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1

@@ -246,8 +246,8 @@ def test_a_table_that_is_given_is_taken(reaching: Path, tmp_path: Path, capsys: 
         "--target=UR5e-PandaGripper",
         f"--source={ROBOT}",
     ]
-    assert convert.main([*args, "--dry_run", "--table_z_m=nan"]) == 1
-    assert "--table_z_m=nan should be a finite number of metres" in capsys.readouterr().err
+    assert convert.main([*args, "--dry_run", "--table_z_m=nan"]) == 2
+    assert "--table_z_m=nan should be a finite number." in capsys.readouterr().err
 
 
 def test_a_table_is_not_above_where_the_robot_stands(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -62,6 +63,7 @@ def options(name: str, source: Path) -> list[str]:
         "cei-replay": [*dataset, "--env=CEI-PickCube-Panda-PandaGripper", "--json=r.json"],
         "cei-pads": ["--end_effector=Inspire", "--output=a/p.png", "--points=100000"],
         "cei-view": [*dataset, "--rrd=a/v.rrd", "--sheet=v.png"],
+        "cei-restore": ["--dataset.repo_id=me/x", "--dataset.root=../edited", f"--original={source}", "--json=r.json"],
         "cei-benchmark": [
             "replay",
             "--episodes=1",
@@ -71,6 +73,12 @@ def options(name: str, source: Path) -> list[str]:
             "--work=w",
         ],
     }[name]
+
+
+def edit(source: Path, root: Path) -> None:
+    """The dataset as LeRobot's tools would leave it, who know nothing of these files."""
+    shutil.rmtree(root, ignore_errors=True)
+    shutil.copytree(source, root, ignore=shutil.ignore_patterns("README.md", "cei*"))
 
 
 def test_every_command_is_here() -> None:
@@ -84,8 +92,10 @@ def test_a_signal_ends_a_command_at_any_moment(name: str, source: Path, tmp_path
     moments = random.Random(name)
     for i in range(MOMENTS):
         number = moments.choice(list(SAID))
-        here = tmp_path / str(i)
+        here, edited = tmp_path / str(i), tmp_path / "edited"
         here.mkdir()
+        edit(source, edited)
+        before = sorted(edited.rglob("*"))
         process = subprocess.Popen(
             [*command(name), *options(name, source)],
             cwd=here,
@@ -109,6 +119,7 @@ def test_a_signal_ends_a_command_at_any_moment(name: str, source: Path, tmp_path
         kept = [line for line in error.splitlines() if line.startswith("What is done is kept in ")]
         assert error.removeprefix("".join(f"{line}\n" for line in kept)) == said
         assert process.returncode == code
+        assert sorted(edited.rglob("*")) == before
         left = sorted(str(path.relative_to(here)) for path in here.rglob("*") if not kept)
         assert not [path for path in left if not path.startswith("w/")], (
             left

@@ -12,7 +12,7 @@ from cei_converters.cli.options import check_of_use
 from cei_converters.conversion.config import ConvertConfig, check_options
 from cei_converters.conversion.executors import SlurmOptions
 from cei_converters.conversion.in_order import in_background
-from cei_converters.conversion.plan import BY_CONTENT
+from cei_converters.conversion.plan import BY_CONTENT, DATASET
 from cei_converters.conversion.reach import check_reached
 from cei_converters.dataset.provenance import fingerprint
 from cei_converters.sources import calibration, joint_map, pose
@@ -60,6 +60,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.executors import warm_up
     from cei_converters.conversion.outcomes import account, residuals
+    from cei_converters.conversion.plan import Plan, to_begin_anew
     from cei_converters.conversion.survey import LOWEST, survey
     from cei_converters.conversion.workers import convert_shards, processes_for
     from cei_converters.conversion.workplace import Workplace
@@ -73,6 +74,9 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     with contextlib.ExitStack() as stack:
         root = stack.enter_context(temporary_folder()) / "dry_run" if config.dry_run else _new_root(config)
         place = stack.enter_context(Workplace(root, config.resume))
+        begun = Plan.load(place.plan) if place.plan.exists() else None
+        if begun is not None:
+            _check_unchanged(begun.provenance, config, to_begin_anew(place.folder))
         converter = stack.enter_context(Converter(config))
         reader = converter.reader
         _check_fit(config, reader)
@@ -98,7 +102,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             config = replace(config, table_z_m=table_z_m)
             progress.console.print(_about_table(table_z_m), highlight=False, soft_wrap=True)
         progress.reset(task, description="choosing the start")
-        plan = _planned(config, place, converter, frames, content)
+        plan = _planned(config, place, begun, converter, frames, content)
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
             return _submitted(config, place, missing)
         progress.update(task, description="converting")
@@ -147,12 +151,10 @@ def _finished(config: ConvertConfig, root: Path) -> dict[str, Any]:
     metadata = Metadata.load(root)
     if metadata.embodiment != config.target:
         raise CEIError(f"{root} already exists and is no dataset of {config.target}; choose another folder.")
+    anew = f", or remove {root}."
+    content = _check_unchanged(metadata.provenance, config, anew)
     with Converter(config) as converter:
-        check_same(
-            metadata.provenance,
-            _provenance(config, converter, fingerprint(converter.reader.root)),
-            f", or remove {root}.",
-        )
+        check_same(metadata.provenance, _provenance(config, converter, content), anew)
     tidy(root)
     print(f"{root} is finished; nothing is left to do{' but to upload it' * config.push_to_hub}.")
     if config.json is not None and not config.json.exists():
@@ -161,13 +163,47 @@ def _finished(config: ConvertConfig, root: Path) -> dict[str, Any]:
     return {"root": str(root), "repo_id": config.new_repo_id, "dry_run": False}
 
 
+def _check_unchanged(begun: "Provenance", config: ConvertConfig, anew: str) -> str:
+    """Check that files are what they were, before any of them is read: what was changed may not be readable.
+
+    Args:
+        begun: of what is gone on with.
+        config: of the conversion.
+        anew: what else can be done, for the message.
+
+    Returns:
+        The dataset's fingerprint.
+
+    Raises:
+        CEIError: one has changed.
+    """
+    from cei_converters.conversion.plan import check_unchanged
+    from cei_converters.sources.formats import find_root
+
+    content = fingerprint(find_root(config.dataset.repo_id, config.dataset.root))
+    check_unchanged(begun, {DATASET: content, **_files(config)}, anew)
+    return content
+
+
+def _files(config: ConvertConfig) -> dict[str, str]:
+    """Fingerprints of the files that options name."""
+    named = {name.replace("_", " "): getattr(config, name) for name in BY_CONTENT}
+    return {name: fingerprint(Path(file)) for name, file in named.items() if file is not None}
+
+
 def _planned(
-    config: ConvertConfig, place: "Workplace", converter: "Converter", frames: list[int], content: Callable[[], str]
+    config: ConvertConfig,
+    place: "Workplace",
+    begun: "Plan | None",
+    converter: "Converter",
+    frames: list[int],
+    content: Callable[[], str],
 ) -> "Plan":
     """The plan that is gone on with, or a new one; the converter then starts where it says.
 
     Args:
         config, place, converter: of the conversion.
+        begun: the plan that is gone on with.
         frames: of each episode to convert.
         content: waits for the dataset's fingerprint.
 
@@ -177,13 +213,12 @@ def _planned(
     from cei_converters.conversion.plan import Plan, absolute
 
     absolutely = absolute(config, converter.reader.root)
-    if place.plan.exists():
-        plan = Plan.load(place.plan)
-        plan.check_same(_provenance(config, converter, content()), place.folder)
-        converter.start_from(plan.finalists)
-        if config.shard_episodes != plan.config.shard_episodes:
-            print(f"Shards stay as they were begun: --shard_episodes={plan.config.shard_episodes}.")
-        return replace(plan, config=replace(absolutely, shard_episodes=plan.config.shard_episodes))
+    if begun is not None:
+        begun.check_same(_provenance(config, converter, content()), place.folder)
+        converter.start_from(begun.finalists)
+        if config.shard_episodes != begun.config.shard_episodes:
+            print(f"Shards stay as they were begun: --shard_episodes={begun.config.shard_episodes}.")
+        return replace(begun, config=replace(absolutely, shard_episodes=begun.config.shard_episodes))
     converter.fit()
     provenance = _provenance(config, converter, content())
     plan = Plan(absolutely, provenance, converter.transfer.finalists, frames)
@@ -314,10 +349,8 @@ def _provenance(config: ConvertConfig, converter: "Converter", content: str) -> 
     inputs = {
         "source embodiment": identity(reader.embodiment),
         "target embodiment": identity(converter.transfer.target),
+        **_files(config),
     }
-    for name in BY_CONTENT:
-        if (file := getattr(config, name)) is not None:
-            inputs[name.replace("_", " ")] = fingerprint(Path(file))
     if config.joint_map is not None:
         options["joint_map"] = load_joint_map(config.joint_map)
     return collect(options, command_line("cei-convert", config), source=source, inputs=inputs)

@@ -1,6 +1,7 @@
 """What a conversion is: decided once, before the first shard, and the same for every worker and every resumption."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,9 @@ from cei_gym.errors import CEIError
 
 BY_CONTENT = ("calibration", "joint_map")
 """Options that name files."""
+
+DATASET = "dataset"
+"""What `check_unchanged` calls the dataset that is converted."""
 
 WHERE = ("package_path",)
 """Options that say where to look for what has a fingerprint anyway."""
@@ -69,13 +73,18 @@ class Plan:
         Raises:
             CEIError: naming what differs.
         """
-        anew = f"; to begin anew, remove {where}."
+        anew = to_begin_anew(where)
         check_same(self.provenance, wanted, anew)
         before = {**self.provenance.versions, "commit": self.provenance.git_commit}
         now = {**wanted.versions, "commit": wanted.git_commit}
         for name in sorted(before.keys() | now.keys()):
             if before.get(name) != now.get(name):
                 raise CEIError(f"--resume: begun with {name} {before.get(name)}, this is {now.get(name)}{anew}")
+
+
+def to_begin_anew(where: Path) -> str:
+    """What is said at the end of a refusal to go on with what is there."""
+    return f"; to begin anew, remove {where}."
 
 
 def check_same(begun: Provenance, wanted: Provenance, anew: str) -> None:
@@ -93,11 +102,29 @@ def check_same(begun: Provenance, wanted: Provenance, anew: str) -> None:
     for option in sorted(before.keys() | now.keys()):
         if (was := before.get(option)) != (it_is := now.get(option)):
             raise CEIError(f"--resume: --{option} was {was}, now it is {it_is}; give what was given before{anew}")
-    before, now = ({"dataset": p.source and p.source.fingerprint, **p.inputs} for p in (begun, wanted))
-    for name in sorted(before.keys() | now.keys()):
-        if before.get(name) != now.get(name):
-            what = wanted.source.repo_id if name == "dataset" and wanted.source is not None else f"the {name}"
+    check_unchanged(begun, {**dict.fromkeys(begun.inputs), **_content(wanted)}, anew)
+
+
+def check_unchanged(begun: Provenance, content: Mapping[str, str | None], anew: str) -> None:
+    """Check that what a conversion was begun with has not changed.
+
+    Args:
+        begun: of the one that is there, finished or not.
+        content: the dataset, the calibration, ..., to its fingerprint now; None where there is none any more.
+        anew: what else can be done, for the message.
+
+    Raises:
+        CEIError: naming what has.
+    """
+    before = _content(begun)
+    for name, now in sorted(content.items()):
+        if before.get(name) != now:
+            what = begun.source.repo_id if name == DATASET and begun.source is not None else f"the {name}"
             raise CEIError(f"--resume: {what} has changed since the conversion began{anew}")
+
+
+def _content(provenance: Provenance) -> dict[str, str | None]:
+    return {DATASET: provenance.source and provenance.source.fingerprint, **provenance.inputs}
 
 
 def absolute(config: ConvertConfig, dataset_root: Path) -> ConvertConfig:

@@ -160,7 +160,7 @@ class HiddenFolder:
         if not self._lock.is_locked:
             return
         if not keep:
-            shutil.rmtree(self.path, ignore_errors=True)
+            _remove_hidden(self.path)
         self._lock.release()
         if not keep:
             self._remove_new()
@@ -202,7 +202,16 @@ def _sweep(folder: Path) -> None:
         return
     with contextlib.suppress(OSError, Timeout), FileLock(folder / _LOCK, timeout=0):
         if not (folder / PLAN).exists():
-            shutil.rmtree(folder, ignore_errors=True)
+            _remove_hidden(folder)
+
+
+def _remove_hidden(folder: Path) -> None:
+    """Remove a hidden folder, last what tells that it is one of ours: whoever is killed meanwhile leaves what the next may remove."""
+    last = [folder / name for name in (PLAN, _OWNER, _LOCK)]
+    for path in [*(path for path in folder.glob("*") if path not in last), *last]:
+        with contextlib.suppress(OSError):
+            remove(path)
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _here() -> dict[str, str]:
@@ -228,9 +237,11 @@ def _is_here(owner: dict[str, str]) -> bool:
 def tidy(root: Path) -> None:
     """Remove what is left beside a finished dataset, of a process that was killed as soon as it had published it."""
     folder = _hidden(root.absolute())
-    if (folder / PLAN).exists() or _owner(folder) is not None:
+    if not folder.is_dir():
+        return
+    if (folder / PLAN).exists() or _owner(folder) is not None or {path.name for path in folder.iterdir()} <= {_LOCK}:
         with contextlib.suppress(Timeout), FileLock(folder / _LOCK, timeout=0):  # else it is about to do so itself
-            shutil.rmtree(folder, ignore_errors=True)
+            _remove_hidden(folder)
 
 
 def publish(made: Path, root: Path) -> None:

@@ -88,8 +88,8 @@ def inspect(config: InspectConfig) -> dict[str, Any]:
     frames = sum(len(episode.state) for episode in recordings.episodes)
     title = f"{config.dataset.repo_id}: {len(recordings.episodes)} of {recordings.total} episodes, {frames} frames"
     print_table([column.row() for column in columns], title)
-    found, explained, proposal = _joints(config, mapped, recordings, columns)
-    found = problems(recordings, columns, explained) + found
+    of_joints, explained, proposal = _joints(config, mapped, recordings, columns)
+    found = problems(recordings, columns, explained) + of_joints
     if explained and mapped is None:
         print("Columns are the robot's joints by their names: cei-convert takes them as they are, without a joint map.")
     print("\n".join(f"- {problem}" for problem in found) or "Nothing is wrong.")
@@ -98,7 +98,12 @@ def inspect(config: InspectConfig) -> dict[str, Any]:
     result = {"columns": columns, "problems": found, "proposal": proposal}
     write_json(json, result)
     if file is not None and proposal is None:
-        raise CEIError(f"there is no joint map to save, so {file} is not made.")
+        if explained:
+            raise CEIError(
+                f"columns are the robot's joints by their names, so no joint map is proposed, and {file} is not made."
+            )
+        why = of_joints[0].removesuffix(".") if of_joints else "nothing here tells columns and joints"
+        raise CEIError(f"no joint map could be proposed, so {file} is not made: {why}.")
     return result
 
 

@@ -60,6 +60,19 @@ def open_source(
     return DatasetReader(repo_id, root, **options)
 
 
+def find_root(repo_id: str, root: str | Path | None = None) -> Path:
+    """The folder or file that `open_source` reads: of LeRobot's formats the v3.0 folder, be it the cache's or a copy.
+
+    Raises:
+        CEIError: there is none.
+    """
+    if root is not None and _kind(root) != LEROBOT:
+        return Path(root)
+    from cei_converters.dataset.locate import locate
+
+    return locate(repo_id, root)
+
+
 def read_recordings(
     repo_id: str, root: str | Path | None, most: int, state: str = schema.STATE, action: str | None = schema.ACTION
 ) -> Recordings:
