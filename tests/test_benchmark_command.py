@@ -7,6 +7,10 @@ import json
 import multiprocessing
 import os
 import shutil
+import signal
+import subprocess
+import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -288,3 +292,24 @@ def test_closing_stops_what_runs_at_once() -> None:
 def test_a_worker_that_dies_is_an_error_not_a_wait() -> None:
     with pytest.raises(CEIError, match="a worker died"):
         list(run_jobs([Job("dies", os._exit, (1,))], 1))
+
+
+ORPHANS = """
+import time
+from pathlib import Path
+from cei_converters.benchmark.runner import Job, run_jobs
+next(run_jobs([Job("pid", Path("pid").write_text, ("x",)), Job("long", time.sleep, (60,))], 1))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_workers_end_with_what_started_them(number: int, tmp_path: Path) -> None:
+    code = f"if __name__ == '__main__':\n{textwrap.indent(ORPHANS.strip(), '    ')}\n    print('waits', flush=True)\n    time.sleep(60)\n"
+    (tmp_path / "main.py").write_text(code)
+    process = subprocess.Popen([sys.executable, "main.py"], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "waits\n"
+    os.kill(process.pid, number)
+    start = time.monotonic()
+    assert process.stdout.read() == ""  # its workers have it open, too
+    process.wait()
+    assert time.monotonic() - start < 20

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
@@ -67,10 +68,18 @@ def run_jobs(jobs: Sequence[Job], workers: int) -> Generator[Outcome]:
 
 
 def _start_worker() -> None:
-    """Leave the terminal, and Ctrl-C, to the main process."""
+    """Leave the terminal, and Ctrl-C, to the main process, and end with it however that ends: nobody else would tell."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     sys.stdout = sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115  (until the process ends)
     quiet_libraries()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _guarded(job: Job) -> tuple[Any, str | None]:
