@@ -1,29 +1,35 @@
 """Run every command and every piece of code of the documents and examples, made small. `.ci/run` does, with the wheels installed.
 
-Each document is run in a folder of its own, in which are the datasets that the README has made, as a reader has them. What cannot run
-here is named with the reason; anything else that a document says is run as it stands, so that a new block is run without being listed.
+Each document is run in a folder of its own, in which are the datasets that the README has made, as a reader has them. A block is run
+as it stands, without being listed anywhere; what cannot run here is named below with the reason, which is printed.
+`tests/test_documents.py` sees to it that nothing escapes: no block of another language, no exception or shortening that is out of date.
 
-Usage: python documents.py CHECKOUT [DOCUMENT ...]   (not a pytest module)
+Usage: python documents.py CHECKOUT [DOCUMENT ...]   (not a pytest module; `make documents` runs it with what is installed in .venv)
 """
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 SMALLER = [
-    (r"--episodes=50\b", "--episodes=2"),
+    (r"--episodes=50\b", "--episodes=4"),  # docs/converting.md deletes the last of them
     (r"--augment\.grid=10,10", "--augment.grid=2,1"),
     (r"--batch_size=128", "--batch_size=4"),
     (r"--steps=100000", "--steps=2 --save_freq=2 --num_workers=0 --log_freq=1"),
     (r"--policy\.type=dp3", "--policy.type=dp3 --policy.size=small --policy.points=64 --policy.device=cpu"),
-    (r"--eval\.n_episodes=20(\s+\\\n\s*)?( --eval\.batch_size=2)?", "--eval.n_episodes=1 --eval.batch_size=1"),
-    (r"--env\.type=cei", "--env.type=cei --env.episode_length=10 --policy.device=cpu"),
+    (r"--eval\.n_episodes=20 --eval\.batch_size=2", "--eval.n_episodes=1 --eval.batch_size=1 --policy.device=cpu"),
+    (r"--env\.type=cei", "--env.type=cei --env.episode_length=10"),
 ]
 """What makes a command quick, by what stands in it."""
 
@@ -33,9 +39,9 @@ ELSEWHERE = {
     "make setup": "`.ci/run` runs it",
     "source .venv/bin/activate": "the environment is another here",
     "pip install": "the wheels are installed",
-    "python benchmarks/": "hours; tests/test_benchmarks.py runs each of them smaller",
+    "uv pip install": "optional: what a benchmark compares with",
+    "python benchmarks/": "minutes to hours; tests/test_benchmarks.py runs each of them smaller",
     "cei-benchmark replay": "an hour; tests/test_benchmark_command.py runs it smaller",
-    "cei-benchmark policy": "hours; tests/test_policy_benchmark.py runs it smaller",
 }
 """Commands that are not run here, by how they begin, and why."""
 
@@ -45,20 +51,24 @@ BEFORE = {
         demonstration = open_source("me/pick_panda", "data/pick_panda").read(0)
         """,
     "policies/README.md": """
-        import torch
+        import re, dill, torch
         from lerobot.configs import FeatureType, PolicyFeature
         from lerobot_policy_dp3 import DP3Config, DP3Policy
-        config = DP3Config(
-            device="cpu",
-            size="small",
-            input_features={
-                "observation.state": PolicyFeature(FeatureType.STATE, (9,)),
-                "observation.point_cloud": PolicyFeature(FeatureType.STATE, (64, 3)),
-            },
-            output_features={"action": PolicyFeature(FeatureType.ACTION, (9,))},
-        )
-        policy = DP3Policy(config)
-        checkpoint = {"state_dicts": {"ema_model": {}}}
+        sizes = {"observation.state": (24,), "observation.point_cloud": (512, 3)}
+        config = DP3Config(device="cpu", size="simple", horizon=4, n_action_steps=3,
+            input_features={key: PolicyFeature(FeatureType.STATE, shape) for key, shape in sizes.items()},
+            output_features={"action": PolicyFeature(FeatureType.ACTION, (26,))})
+        names = [(r"^unet\\.", "model."), (r"\\.conv1\\.", ".blocks.0."), (r"\\.conv2\\.", ".blocks.1."),
+            (r"^(model\\.(?:down|up)_modules\\.[0-9]+)\\.2\\.", r"\\1.1.conv.")]
+        original = {}
+        for name, weight in DP3Policy(config).model.state_dict().items():
+            for pattern, text in names:
+                name = re.sub(pattern, text, name)
+            original[name] = weight
+        for key, size in {"agent_pos": 24, "action": 26, "point_cloud": 3}.items():
+            original[f"normalizer.params_dict.{key}.scale"] = torch.ones(size)
+            original[f"normalizer.params_dict.{key}.offset"] = torch.zeros(size)
+        torch.save({"state_dicts": {"ema_model": original}}, "latest.ckpt", pickle_module=dill)
         """,
 }
 """What a document's Python takes as given."""
@@ -71,26 +81,55 @@ EXAMPLES = {
 }
 """Shell scripts, and what they are given. The examples in Python are run by tests/test_examples.py."""
 
+SHELL, PYTHON = ("bash", "sh", "shell", "console"), ("python",)
+"""Languages of blocks that are run."""
+
+NOT_OURS = ("build", "dist", "outputs", "data", "node_modules")
+"""Folders of a checkout whose documents are not the project's."""
+
+LIMIT_S = 600
+"""No command takes longer."""
+
 
 @dataclass(frozen=True)
 class Block:
-    """A piece of a document."""
+    """What a document has between fences.
+
+    Attributes:
+        document: its path in the checkout.
+        language: what stands behind the fence, or nothing.
+        text: the lines between, not indented.
+    """
 
     document: str
     language: str
     text: str
 
+    def commands(self) -> list[str]:
+        """Those of a shell block, each on one line, without comments and prompts."""
+        lines = [re.sub(r"(^|\s+)#.*$", "", line) for line in re.sub(r"\\\n\s*", " ", self.text).splitlines()]
+        if self.language == "console":
+            lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+        return [line.strip() for line in lines if line.strip()]
 
-def blocks(path: Path, name: str) -> list[Block]:
-    """What a document has between fences that can be run."""
-    found = re.findall(r"^```(\w+)\n(.*?)^```", path.read_text(), re.DOTALL | re.MULTILINE)
-    return [Block(name, language, text) for language, text in found if language in ("bash", "sh", "python")]
+
+def documents(checkout: Path) -> list[str]:
+    """All of them, the README first: it makes what the others start from."""
+    folders = [p for p in checkout.iterdir() if p.is_dir() and p.name not in NOT_OURS and not p.name.startswith(".")]
+    found = {*checkout.glob("*.md"), *(path for folder in folders for path in folder.rglob("*.md"))}
+    return sorted((p.relative_to(checkout).as_posix() for p in found), key=lambda name: (name != "README.md", name))
 
 
-def commands(text: str) -> list[str]:
-    """Those of a shell block, each on one line, without comments."""
-    lines = [re.sub(r"(^|\s+)#.*$", "", line) for line in re.sub(r"\\\n\s*", " ", text).splitlines()]
-    return [line.strip() for line in lines if line.strip()]
+def blocks(checkout: Path, document: str) -> list[Block]:
+    """All of a document, in whatever language."""
+    fenced = r"^ *(```+|~~~+) *([^\s`]*)[^\n`]*\n(.*?)^ *\1[ ]*$"
+    found = re.findall(fenced, (checkout / document).read_text(), re.DOTALL | re.MULTILINE)
+    return [Block(document, language, textwrap.dedent(text)) for _, language, text in found]
+
+
+def left_out(command: str) -> str | None:
+    """Why a command is not run here; None if it is."""
+    return next((why for start, why in ELSEWHERE.items() if command.startswith(start)), None)
 
 
 def smaller(command: str) -> str:
@@ -100,14 +139,13 @@ def smaller(command: str) -> str:
     return command
 
 
-def made_by(shell: list[str]) -> set[str]:
-    """Folders and files that commands make, which must therefore not be there before."""
-    options = r"--(?:root|new_root|output_dir|save_map|output|sheet|rrd|video)=(\S+)"
-    return {path for command in shell for path in re.findall(options, command)}
+def made_by(command: str) -> list[str]:
+    """Files and folders that a command makes."""
+    return re.findall(r"--(?:new_root|output_dir|save_map|output|sheet|rrd|video|json)=(\S+)", command)
 
 
 class Runner:
-    """Runs documents one after the other.
+    """Runs documents and examples.
 
     Args:
         checkout: of the project, whose documents are read.
@@ -116,87 +154,117 @@ class Runner:
 
     def __init__(self, checkout: Path, work: Path) -> None:
         self.checkout, self.work, self.home = checkout, work, work / "home"
-        self.ran, self.left_out = 0, []
+        self.ran: list[str] = []
+        self.not_run: list[str] = []
         path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-        offline = {"HF_HUB_OFFLINE": "1", "HF_LEROBOT_HOME": str(self.home)}
-        self.environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {"PATH": path, **offline}
+        offline = {"HF_HUB_OFFLINE": "1", "HF_LEROBOT_HOME": str(self.home), "OMP_NUM_THREADS": "1"}
+        self.environment = os.environ | {"PATH": path} | offline
+        self.environment.pop("PYTHONDONTWRITEBYTECODE", None)  # importing everything anew takes 14 s a process
 
-    def documents(self) -> list[str]:
-        """All of them, the README first: it makes what the others start from."""
-        folders = (".", "docs", "envs", "policies", "results", "results/*", "examples")
-        found = {p.relative_to(self.checkout).as_posix() for f in folders for p in self.checkout.glob(f"{f}/*.md")}
-        return sorted(found, key=lambda name: (name != "README.md", name))
+    def run(self, document: str) -> None:
+        """Run a document, in its order; what the README has run before it is there.
 
-    def run(self, name: str) -> None:
-        """Run a document."""
-        found = blocks(self.checkout / name, name)
-        shell = [command for block in found if block.language != "python" for command in commands(block.text)]
-        folder = self.work / name.replace("/", "_").removesuffix(".md")
+        Raises:
+            SystemExit: what it says does not work.
+        """
+        found = blocks(self.checkout, document)
+        first = {command for block in self._of_readme(document) for command in block.commands()}
+        folder = self.work / document.replace("/", "_").removesuffix(".md")
         folder.mkdir()
-        if name != "README.md":
-            self._provide(folder, made_by(shell))
+        shell = [command for block in found if block.language in SHELL for command in block.commands()]
+        if document != "README.md" and (shell or any(block.language in PYTHON for block in found)):
+            self._provide(folder, [path for command in shell if command not in first for path in made_by(command)])
         for block in found:
-            if block.language == "python":
-                before = "\n".join(line.removeprefix(" " * 8) for line in BEFORE.get(name, "").splitlines())
-                self._call([sys.executable, "-c", f"{before}\n{block.text}"], folder, f"{name}: Python")
-                continue
-            for command in commands(block.text):
-                reason = next((why for start, why in ELSEWHERE.items() if command.startswith(start)), None)
-                reason = reason or ("it is optional" if command.startswith("uv ") else None)
-                if reason is not None:
-                    self.left_out.append(f"{name}: {command[:70]} ({reason})")
-                    continue
-                self._call(["bash", "-c", smaller(command)], folder, f"{name}: {command[:90]}")
+            if block.language in PYTHON:
+                before = textwrap.dedent(BEFORE.get(document, ""))
+                self._call([sys.executable, "-c", f"{before}\n{block.text}"], folder, f"{document}: Python")
+            elif block.language in SHELL:
+                for command in block.commands():
+                    why = "README.md has run it" if command in first else left_out(command)
+                    if why is not None:
+                        self.not_run.append(f"{document}: {command[:70]} ({why})")
+                        continue
+                    self._call(["bash", "-c", smaller(command)], folder, f"{document}: {command[:90]}")
+                    for path in made_by(smaller(command)):
+                        if not (folder / path).exists():
+                            raise SystemExit(f"{document}: {command}\nmakes no {path}")
 
-    def run_examples(self) -> None:
-        """Run the shell scripts among the examples."""
+    def run_example(self, script: str) -> None:
+        """Run one of the shell scripts among the examples.
+
+        Raises:
+            SystemExit: it does not work.
+        """
         shared = self.checkout.parent / "shared"
-        scripts = sorted(path.name for path in (self.checkout / "examples").glob("*.sh"))
-        assert scripts == sorted(EXAMPLES), f"examples/ has {scripts}; say in EXAMPLES what each is given"
-        for script, arguments in EXAMPLES.items():
-            if any("{shared}" in a for a in arguments) and not shared.is_dir():
-                self.left_out.append(f"examples/{script} (needs ../shared/datasets)")
-                continue
-            folder = self.work / script
-            folder.mkdir()
-            given = [argument.format(shared=shared) for argument in arguments]
-            self._call(["bash", str(self.checkout / "examples" / script), *given], folder, f"examples/{script}")
+        arguments = [argument.format(shared=shared) for argument in EXAMPLES[script]]
+        if str(shared) in arguments[0] and not Path(arguments[0]).exists():
+            self.not_run.append(f"examples/{script} (needs ../shared/datasets)")
+            return
+        folder = self.work / script
+        folder.mkdir()
+        self._call(["bash", str(self.checkout / "examples" / script), *arguments], folder, f"examples/{script}")
 
-    def _provide(self, folder: Path, made: set[str]) -> None:
-        """What the README has left, but for what the document makes itself; and a stranger's dataset in LeRobot's cache."""
-        for path in (self.work / "README").rglob("*"):
-            to = folder / path.relative_to(self.work / "README")
-            inside = any(to.is_relative_to(folder / each) for each in made)
-            if path.is_file() and not inside:
-                to.parent.mkdir(parents=True, exist_ok=True)
-                os.link(path, to)
+    def tasks(self, wanted: list[str]) -> Iterator[Callable[[], None]]:
+        """What is to run when the README has: documents and examples, which do not depend on each other; the longest first."""
+        for script in EXAMPLES if not wanted else ():
+            yield partial(self.run_example, script)
+        for document in documents(self.checkout)[1:]:
+            if not wanted or document in wanted:
+                yield partial(self.run, document)
+
+    def provide_home(self) -> None:
+        """Put what the README has made into LeRobot's cache, once as a stranger's, who knows nothing of ours."""
         for name, origin in (("lab/real", "pick_panda"), ("me/picked", "pick_iiwa")):
-            if not (self.home / name).exists():
-                shutil.copytree(self.work / "README/data" / origin, self.home / name)
-                (self.home / name / "meta/cei.json").unlink()
+            shutil.copytree(self.work / "README/data" / origin, self.home / name)
+        root = self.home / "lab/real/meta"
+        for path in root.glob("cei*"):
+            path.unlink()
+        info = json.loads((root / "info.json").read_text())
+        info["robot_type"] = None
+        for feature in info["features"].values():
+            (feature.get("info") or {}).pop("cei", None)
+        (root / "info.json").write_text(json.dumps(info))
+
+    def _of_readme(self, document: str) -> list[Block]:
+        return [] if document == "README.md" else [b for b in blocks(self.checkout, "README.md") if b.language in SHELL]
+
+    def _provide(self, folder: Path, made: list[str]) -> None:
+        """Copy what the README has left, but for what the document makes itself."""
+        own = {(self.work / "README" / each).resolve() for each in made}
+        shutil.copytree(
+            self.work / "README",
+            folder,
+            ignore=lambda inside, names: [name for name in names if (Path(inside) / name).resolve() in own],
+            dirs_exist_ok=True,
+        )
 
     def _call(self, command: list[str], folder: Path, what: str) -> None:
         start = time.monotonic()
-        done = subprocess.run(command, cwd=folder, env=self.environment, capture_output=True, text=True, check=False)
+        options = {"cwd": folder, "env": self.environment, "capture_output": True, "text": True, "check": False}
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, timeout=LIMIT_S, **options)
         print(f"{time.monotonic() - start:6.1f} s  {what}", flush=True)
-        self.ran += 1
+        self.ran.append(what)
         if done.returncode != 0:
             raise SystemExit(f"{what}\nexits with {done.returncode}:\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}")
 
 
 def main() -> None:
-    checkout = Path(sys.argv[1]).resolve()
+    checkout, wanted, start = Path(sys.argv[1]).resolve(), sys.argv[2:], time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        runner = Runner(checkout, Path(folder))
-        wanted = sys.argv[2:]
-        for name in runner.documents():
-            if not wanted or name == "README.md" or name in wanted:
-                runner.run(name)
-        if not wanted:
-            runner.run_examples()
-        print(f"{runner.ran} commands and pieces of code run; not run here:")
-        for each in runner.left_out:
-            print(f"  {each}")
+        runner = Runner(checkout, Path(folder).resolve())
+        runner.run("README.md")
+        runner.provide_home()
+        with ThreadPoolExecutor(2) as pool:
+            running = [pool.submit(task) for task in runner.tasks(wanted)]
+            try:
+                for each in running:
+                    each.result()
+            except SystemExit:
+                pool.shutdown(cancel_futures=True)
+                raise
+    print(f"{len(runner.ran)} commands and pieces of code run in {time.monotonic() - start:.0f} s; not run here:")
+    for each in runner.not_run:
+        print(f"  {each}")
 
 
 if __name__ == "__main__":
