@@ -1,6 +1,7 @@
 """Links as convex shapes: which have to stay clear of what."""
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -38,7 +39,16 @@ class LinkShapes:
 
 
 def link_shapes(embodiment: Embodiment) -> LinkShapes:
-    """Outermost vertices of an embodiment's links."""
+    """Outermost vertices of an embodiment's links; found once for each embodiment."""
+    if (shapes := _known.get(embodiment)) is None:
+        shapes = _known[embodiment] = _link_shapes(embodiment)
+    return shapes
+
+
+_known: WeakKeyDictionary[Embodiment, LinkShapes] = WeakKeyDictionary()
+
+
+def _link_shapes(embodiment: Embodiment) -> LinkShapes:
     hand = np.array([name.startswith(END_EFFECTOR_PREFIX) for name in embodiment.body_names])
     moving = KinematicTree(embodiment).arrays.body_joint >= 0
     bodies, vertices = [], []

@@ -61,7 +61,7 @@ class Coupled:
         return qpos[..., self.independent]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Embodiment:
     """An arm with an end-effector (either may be absent), at its base frame.
 
