@@ -56,13 +56,13 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.cli.outputs import JSON, Outputs
     from cei_converters.cli.progress import progress_bar
     from cei_converters.cli.result import write_json
-    from cei_converters.conversion.assemble import assemble
+    from cei_converters.conversion.assemble import Assembly
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.executors import warm_up
     from cei_converters.conversion.outcomes import account, residuals
     from cei_converters.conversion.plan import Plan, to_begin_anew
     from cei_converters.conversion.survey import LOWEST, survey
-    from cei_converters.conversion.workers import convert_shards, processes_for
+    from cei_converters.conversion.workers import convert_shards
     from cei_converters.conversion.workplace import Workplace
     from cei_converters.dataset.essentials import Remains
     from cei_converters.dataset.metadata import restore_with
@@ -70,6 +70,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
 
     if config.resume and (root := _new_root(config)).exists():
         return _finished(config, root)
+    if config.executor != "slurm" and not config.dry_run:
+        warm_up("cei_converters.conversion.preloaded")  # for workers, and for who writes
     json = Outputs(config.overwrite, None if config.dry_run else _new_root(config)).file("--json", config.json, JSON)
     with contextlib.ExitStack() as stack:
         root = stack.enter_context(temporary_folder()) / "dry_run" if config.dry_run else _new_root(config)
@@ -91,8 +93,6 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             )
         local = config.executor == "local"
         workers = config.workers or (local and os.cpu_count()) or len(converter.selected)
-        if local and processes_for(workers, -(-len(converter.selected) // config.shard_episodes)) > 1:
-            warm_up("cei_converters.conversion.preloaded")
         frames = [reader.frames(index) for index in converter.selected]
         progress = stack.enter_context(progress_bar("frames"))
         task = progress.add_task("reading joints", total=sum(frames))
@@ -106,6 +106,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
             return _submitted(config, place, missing)
         progress.update(task, description="converting")
+        assembly = None if config.dry_run else stack.enter_context(Assembly(place, plan, converter))
         convert_shards(place, plan, converter, workers, lambda done: progress.update(task, completed=done))
         progress.stop()
         told = account(place, plan, f"{reader.embodiment.name} -> {config.target}")
@@ -125,8 +126,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "results": told.entries,
             **told.choices,
         }
-        if not config.dry_run:
-            assemble(place, plan, converter, told)
+        if assembly is not None:
+            assembly.finish(told)
         write_json(json, result, residuals=residuals(place, plan))
     if config.dry_run:
         if not config.allow_unreachable:

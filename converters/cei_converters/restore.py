@@ -81,7 +81,7 @@ def restore(config: RestoreConfig) -> dict[str, Any]:
     from cei_converters.dataset.license import CARD_PATH
     from cei_converters.dataset.locate import locate
     from cei_converters.dataset.metadata import METADATA_PATH
-    from cei_converters.dataset.opening import load_lerobot_metadata
+    from cei_converters.dataset.opening import describe
     from cei_converters.dataset.records import RECORDS_PATH
 
     json = Outputs(config.overwrite).file("--json", config.json, JSON)
@@ -91,7 +91,7 @@ def restore(config: RestoreConfig) -> dict[str, Any]:
     for path in (METADATA_PATH, RECORDS_PATH, CARD_PATH):
         if (root / path).exists():
             raise CEIError(f"{root / path} exists; if it is not what belongs there, remove it first.")
-    meta = load_lerobot_metadata(config.dataset.repo_id, root)
+    meta = describe(root)
     keys = [key for key in identity.KEYS if key in meta.features]
     if not keys:
         raise CEIError(f"{root} has neither {' nor '.join(identity.KEYS)}, by which its episodes could be told.")
@@ -134,7 +134,7 @@ def _open(name: str, keys: Sequence[str]) -> _Original:
     from cei_converters.dataset import identity
     from cei_converters.dataset.essentials import Remains
     from cei_converters.dataset.locate import locate
-    from cei_converters.dataset.opening import find_metadata, load_lerobot_metadata
+    from cei_converters.dataset.opening import describe, find_metadata
     from cei_converters.dataset.records import load_records
 
     is_folder = Path(name).is_dir()
@@ -142,7 +142,7 @@ def _open(name: str, keys: Sequence[str]) -> _Original:
     metadata = find_metadata(root)
     if metadata is None or isinstance(metadata, Remains):
         raise CEIError(f"{root} was edited itself, and has nothing to restore from; name what it was made from.")
-    meta = load_lerobot_metadata(name, root)
+    meta = describe(root)
     for key in keys:
         if key not in meta.features:
             raise CEIError(f"{root} has no {key}, by which its episodes could be told.")

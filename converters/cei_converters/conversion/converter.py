@@ -54,23 +54,7 @@ class Converter:
 
     def __init__(self, config: ConvertConfig) -> None:
         self._config = config
-        T_world_base = parse_pose("--source_pose", config.source_pose)
-        use_package_path(config.package_path)
-        calibrated = None if config.calibration is None else calibration.load_calibration(config.calibration)
-        if calibrated is not None and calibrated.T_world_base is not None and T_world_base is not None:
-            raise CEIError("--source_pose and T_world_base of --calibration are the same thing; give one.")
-        self.reader = open_source(
-            config.dataset.repo_id,
-            config.dataset.root,
-            embodiment=config.source,
-            T_world_base=T_world_base,
-            calibration=calibrated,
-            joint_map=config.joint_map,
-        )
-        if config.table_z_m is not None:
-            self.reader.set_table(config.table_z_m, "--table_z_m")
-        if config.drop_features is not None:
-            self.reader.drop([name.strip() for name in config.drop_features.split(",")], "--drop_features")
+        self.reader = open_reader(config)
         self.selected = self.reader.select(parse_episodes(config.episodes))
         pose = parse_pose("--target_pose", config.target_pose)
         self.T_world_target = self.reader.scene.T_world_base if pose is None else pose
@@ -208,6 +192,32 @@ class Converter:
         if verdict is not None and verdict.dropped:
             return "fails"
         return LOW_QUALITY if fate == DROPPED else ""
+
+
+def open_reader(config: ConvertConfig) -> Source:
+    """The dataset to convert.
+
+    Raises:
+        CEIError: bad options or data.
+    """
+    T_world_base = parse_pose("--source_pose", config.source_pose)
+    use_package_path(config.package_path)
+    calibrated = None if config.calibration is None else calibration.load_calibration(config.calibration)
+    if calibrated is not None and calibrated.T_world_base is not None and T_world_base is not None:
+        raise CEIError("--source_pose and T_world_base of --calibration are the same thing; give one.")
+    reader = open_source(
+        config.dataset.repo_id,
+        config.dataset.root,
+        embodiment=config.source,
+        T_world_base=T_world_base,
+        calibration=calibrated,
+        joint_map=config.joint_map,
+    )
+    if config.table_z_m is not None:
+        reader.set_table(config.table_z_m, "--table_z_m")
+    if config.drop_features is not None:
+        reader.drop([name.strip() for name in config.drop_features.split(",")], "--drop_features")
+    return reader
 
 
 def one_thread() -> contextlib.AbstractContextManager:

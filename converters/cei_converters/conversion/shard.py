@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import draccus
-import numpy as np
 import pyarrow as pa
 
 from cei_converters.dataset.episodes import EncodedEpisode
@@ -65,11 +64,7 @@ class ShardWriter:
                 self._file = pa.ipc.new_file(self._partial / _FRAMES, encoded.table.schema)
             (batch,) = encoded.table.combine_chunks().to_batches()
             self._file.write_batch(batch)
-            statistics = {
-                key: {name: (value.tolist(), str(value.dtype)) for name, value in stats.items()}
-                for key, stats in encoded.statistics.items()
-            }
-            stored |= {"rows": batch.num_rows, "task": encoded.task, "statistics": statistics}
+            stored |= {"rows": batch.num_rows, "task": encoded.task}
         self._episodes.append(stored)
         self._frames += converted.outcome["entry"]["frames"]
         (self._partial / _PROGRESS).write_text(str(self._frames))
@@ -135,11 +130,7 @@ class Shard:
         for stored in self._episodes:
             encoded = None
             if stored["rows"] is not None:
-                statistics = {
-                    key: {name: np.array(value, dtype) for name, (value, dtype) in stats.items()}
-                    for key, stats in stored["statistics"].items()
-                }
-                encoded = EncodedEpisode(pa.Table.from_batches([next(batches)]), statistics, stored["task"])
+                encoded = EncodedEpisode(pa.Table.from_batches([next(batches)]), task=stored["task"])
             yield Converted(stored["outcome"], self.header, encoded)
 
 

@@ -42,7 +42,11 @@ class Workplace:
         except Exception:
             signals.end(self._token)
             raise
-        for path in (*self.shards.glob(".*"), *self.folder.glob("error-*")):  # of workers that were killed, or failed
+        for path in (
+            *self.shards.glob(".*"),
+            *self.folder.glob("error-*"),
+            *self.folder.glob(f"{self.dataset.name}-*"),
+        ):  # of workers that were killed, or failed
             remove(path)
         return self
 

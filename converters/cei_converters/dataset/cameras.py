@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from cei_converters.dataset.columns import read_columns
 from cei_converters.dataset.decoding import check_video, encoded_images
+from cei_converters.dataset.description import EPISODES_PATH, Description
 from cei_converters.dataset.rows import read_rows
 from cei_gym.errors import CEIError, one_line
 
@@ -56,7 +57,7 @@ class Pictures:
         )
 
 
-def read_pictures(root: Path, meta: Any, index: int, keys: Sequence[str]) -> Pictures:
+def read_pictures(root: Path, meta: Description, index: int, keys: Sequence[str]) -> Pictures:
     """What an episode's cameras saw.
 
     Args:
@@ -90,15 +91,15 @@ def _without_folders(cells: Any) -> pa.Array:
     return pa.StructArray.from_arrays([encoded, pa.array(names, pa.string())], names=["bytes", "path"])
 
 
-def find_clip(root: Path, meta: Any, index: int, key: str) -> Clip:
+def find_clip(root: Path, meta: Description, index: int, key: str) -> Clip:
     """The part of a video that is an episode's.
 
     Raises:
         CEIError: the file is missing, damaged or not the dataset's, or nothing says which it is.
     """
     try:
-        path = meta.get_video_file_path(index, key)
-        start_s, end_s = (float(meta.episodes[index][f"videos/{key}/{end}_timestamp"]) for end in ("from", "to"))
+        path = meta.video_file(index, key)
+        start_s, end_s = (float(meta.episode(index)[f"videos/{key}/{end}_timestamp"]) for end in ("from", "to"))
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise CEIError(f"episode {index}: {root.name}/meta does not say where the video of {key} is.") from error
     if path.is_absolute() or ".." in path.parts:
@@ -117,13 +118,11 @@ def find_clip(root: Path, meta: Any, index: int, key: str) -> Clip:
     return Clip(root / path, start_s, end_s)
 
 
-def _statistics(root: Path, meta: Any, index: int, keys: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
+def _statistics(root: Path, meta: Description, index: int, keys: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
     """LeRobot's statistics of features in an episode, or in the dataset where episodes have none."""
-    from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
-
     try:
-        chunk, file = (meta.episodes[index][f"meta/episodes/{name}_index"] for name in ("chunk", "file"))
-        path = root / DEFAULT_EPISODES_PATH.format(chunk_index=chunk, file_index=file)
+        chunk, file = (meta.episode(index)[f"meta/episodes/{name}_index"] for name in ("chunk", "file"))
+        path = root / EPISODES_PATH.format(chunk_index=chunk, file_index=file)
         (stored,) = read_rows(path, index).to_pylist()
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise CEIError(f"episode {index}: {root}/meta/episodes has no statistics of it ({one_line(error)}).") from error
@@ -131,7 +130,7 @@ def _statistics(root: Path, meta: Any, index: int, keys: Sequence[str]) -> dict[
     for key in keys:
         prefix = f"stats/{key}/"
         own = {name.removeprefix(prefix): np.array(stored[name]) for name in stored if name.startswith(prefix)}
-        found[key] = own or (meta.stats or {}).get(key)
+        found[key] = own or meta.statistics.get(key)
         if not found[key]:
             raise CEIError(
                 f"{key} has no statistics, without which nothing can be trained on it; "

@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from cei_converters.dataset import schema
 from cei_converters.dataset.columns import decode_array, read_columns
+from cei_converters.dataset.description import Description
 from cei_converters.dataset.episodes import EncodedEpisode, encode_episode
 from cei_gym.errors import CEIError, one_line
 
@@ -153,10 +154,10 @@ def _why_not(key: str, feature: Mapping[str, Any]) -> str:
     return ""
 
 
-def of_episodes(meta: Any) -> dict[str, str]:
+def of_episodes(meta: Description) -> dict[str, str]:
     """Name to reason of what is known of whole episodes in meta/episodes beyond LeRobot's own, which is written anew."""
     own = {"episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index"}
-    names = [name for name in meta.episodes.features if name not in own]
+    names = [name for name in meta.episodes.column_names if name not in own]
     return {
         f"meta/episodes: {name}": "of whole episodes, whose table is written anew"
         for name in names
@@ -178,7 +179,9 @@ def _words(name: str) -> list[str]:
     return re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower())
 
 
-def read_carried(root: Path, meta: Any, index: int, features: Mapping[str, dict], tasks: Mapping[int, str]) -> Carried:
+def read_carried(
+    root: Path, meta: Description, index: int, features: Mapping[str, dict], tasks: Mapping[int, str]
+) -> Carried:
     """What is carried over of an episode.
 
     Args:

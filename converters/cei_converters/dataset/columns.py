@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from cei_converters.dataset import schema
 from cei_converters.dataset.depth import MM_PER_M
+from cei_converters.dataset.description import Description
 from cei_converters.dataset.rows import read_rows
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError, one_line
@@ -79,19 +80,19 @@ def decode_array(column: Any, feature: Mapping[str, Any], where: str, boolean: b
         raise CEIError(f"{where}: a row is not of shape {tuple(feature['shape'])}.") from error
 
 
-def read_columns(root: Path, meta: Any, index: int, keys: Sequence[str]) -> pa.Table:
+def read_columns(root: Path, meta: Description, index: int, keys: Sequence[str]) -> pa.Table:
     """An episode's rows of those features that are in the dataset's tables.
 
     Args:
         root: the dataset's folder.
-        meta: its metadata, a `LeRobotDatasetMetadata`.
+        meta: what it says of itself.
         index: the episode.
         keys: features; those that the dataset lacks or has as video are left out.
 
     Raises:
         CEIError: the file cannot be read, or has fewer or more of the episode's frames than there should be.
     """
-    path = root / meta.get_data_file_path(index)
+    path = root / meta.data_file(index)
     columns = [key for key in keys if key in meta.features and key not in meta.video_keys]
     try:
         table = read_rows(path, index, columns)
@@ -102,7 +103,7 @@ def read_columns(root: Path, meta: Any, index: int, keys: Sequence[str]) -> pa.T
     missing = [key for key in columns if key not in table.column_names]
     if missing:
         raise CEIError(f"episode {index}: {path} has no column {missing[0]!r}; download or record the dataset again.")
-    length = meta.episodes[index]["length"]
+    length = meta.episode(index)["length"]
     if table.num_rows not in (0, length):
         raise CEIError(
             f"episode {index}: {path} has {table.num_rows} of its frames, where meta/episodes says {length}; "

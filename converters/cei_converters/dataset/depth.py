@@ -52,7 +52,6 @@ def image_depth_m(column: Any, feature: Mapping[str, Any], camera: Camera, where
         CEIError: a cell is no depth image of the camera's size.
     """
     import cv2  # three times as fast as Pillow, and without the GIL
-    from lerobot.configs.video import infer_depth_unit
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong is said below
 
@@ -65,7 +64,7 @@ def image_depth_m(column: Any, feature: Mapping[str, Any], camera: Camera, where
             size = f"{camera.width}x{camera.height}"
             raise CEIError(f"{where}: frame {frame} is no {size} depth image, but {found}.")
         depth_m[frame] = depth
-        unit = unit or infer_depth_unit(depth.dtype)
+        unit = unit or ("m" if depth.dtype.kind == "f" else "mm")  # as LeRobot takes it
     if unit == "mm":
         depth_m /= MM_PER_M
     depth_m[~np.isfinite(depth_m)] = 0

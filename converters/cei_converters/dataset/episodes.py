@@ -6,7 +6,7 @@ is one Arrow table from the start. Features, metadata, statistics and layout of 
 
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.columns import decode_array
 from cei_converters.dataset.schema import POINT_CLOUD
 from cei_converters.dataset.video_files import VideoFiles
 
 _MB = 1024**2
+_WITHOUT_STATISTICS = ("image", "video", "string", "language")
 
 
 @dataclass(frozen=True)
@@ -28,35 +30,29 @@ class EncodedEpisode:
     Attributes:
         table: a column each feature, but for those that say where in the dataset frames are, and for pictures that pass
             through.
-        statistics: feature key to LeRobot's statistics, but for clouds.
+        statistics: of images alone, feature key to LeRobot's; those of numbers are found in the table as it is written.
         task: what it shows, in words.
         tasks: the same of each frame; None where they are alike.
     """
 
     table: pa.Table
-    statistics: Mapping[str, dict[str, np.ndarray]]
+    statistics: Mapping[str, dict[str, np.ndarray]] = field(default_factory=dict)
     task: str = ""
     tasks: Sequence[str] | None = None
 
 
 def encode_episode(columns: Mapping[str, np.ndarray], features: Mapping[str, dict], task: str) -> EncodedEpisode:
-    """Values as a dataset stores them.
-
-    Clouds get no statistics: those of the 3072 entries of a flat one say nothing, and LeRobot would keep 220 kB of them an episode.
+    """Values as a dataset stores them. Of numbers in rows this needs nothing of LeRobot's, whose import takes long.
 
     Args:
         columns: feature key to (T, ...) values of the feature's type; images as (T, H, W, 1 or 3).
         features: LeRobot's description of each column.
         task: what the episode shows, in words.
     """
-    from lerobot.datasets.feature_utils import get_hf_features_from_features
-
     own = {key: feature for key, feature in features.items() if key in columns}
-    hf_features = get_hf_features_from_features(own)
-    schema: pa.Schema = hf_features.arrow_schema
-    arrays = [_arrow(columns[key], own[key], hf_features[key]) for key in schema.names]
-    statistics = {key: _statistics(columns[key], own[key]) for key in schema.names if key != POINT_CLOUD}
-    return EncodedEpisode(pa.Table.from_arrays(arrays, schema=schema), statistics, task)
+    table = pa.table({key: _arrow(columns[key], feature) for key, feature in own.items()})
+    images = {key: feature for key, feature in own.items() if feature["dtype"] == "image"}
+    return EncodedEpisode(table, {key: _image_statistics(columns[key], each) for key, each in images.items()}, task)
 
 
 class EpisodeWriter:
@@ -128,6 +124,7 @@ class EpisodeWriter:
         added = encode_episode(place_of_frames, self._meta.features, "")
         tables = (episode.table, carried.table, added.table)
         columns = {key: table[key] for table in tables for key in table.column_names}
+        found = {**self._statistics(columns), **episode.statistics, **carried.statistics}
         columns |= pictures.images
         self._write(pa.Table.from_arrays([columns[key] for key in self._schema.names], schema=self._schema))
         chunk, file = self._place
@@ -139,9 +136,18 @@ class EpisodeWriter:
         }
         for key, clip in pictures.clips.items():
             place |= self._videos.add(key, clip)
-        found = {**episode.statistics, **carried.statistics, **added.statistics}
         own = {key: found[key] for key in self._schema.names if key in found}
         self._meta.save_episode(self._meta.total_episodes, frames, tasks, {**own, **pictures.statistics}, place)
+
+    def _statistics(self, columns: Mapping[str, Any]) -> dict[str, dict[str, np.ndarray]]:
+        """LeRobot's statistics of columns of numbers, but for clouds: those of the 3072 entries of a flat one say nothing, and LeRobot
+        would keep 220 kB of them an episode."""
+        found = {}
+        for key, column in columns.items():
+            feature = self._meta.features[key]
+            if key != POINT_CLOUD and feature["dtype"] not in _WITHOUT_STATISTICS:
+                found[key] = _number_statistics(decode_array(column, feature, key, boolean=True))
+        return found
 
     def finalize(self) -> None:
         """Complete the files. May be called more than once."""
@@ -187,27 +193,38 @@ class EpisodeWriter:
             self._file = None
 
 
-def _arrow(values: np.ndarray, feature: Mapping[str, Any], hf_feature: Any) -> pa.Array:
-    from datasets.features.features import numpy_to_pyarrow_listarray
-    from datasets.table import cast_array_to_feature
-
+def _arrow(values: np.ndarray, feature: Mapping[str, Any]) -> pa.Array:
+    """As `datasets` has them by LeRobot's features."""
     if feature["dtype"] == "image":
         return _images(values)
     shape = tuple(feature["shape"])
-    values = values.reshape(len(values), *(() if shape == (1,) else shape))  # LeRobot stores (1,) as scalars
-    return cast_array_to_feature(numpy_to_pyarrow_listarray(values), hf_feature)
+    if len(shape) == 1:
+        flat = pa.array(values.astype(feature["dtype"], copy=False).ravel())
+        return flat if shape == (1,) else pa.FixedSizeListArray.from_arrays(flat, shape[0])
+    from datasets.features.features import numpy_to_pyarrow_listarray
+    from datasets.table import cast_array_to_feature
+    from lerobot.datasets.feature_utils import get_hf_features_from_features
+
+    (hf_feature,) = get_hf_features_from_features({"values": feature}).values()
+    return cast_array_to_feature(numpy_to_pyarrow_listarray(values.reshape(len(values), *shape)), hf_feature)
 
 
-def _statistics(values: np.ndarray, feature: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _number_statistics(values: np.ndarray) -> dict[str, np.ndarray]:
+    """As LeRobot's `compute_episode_stats`."""
+    from lerobot.datasets.compute_stats import get_feature_stats
+
+    values = values.reshape(len(values)) if values.shape[1:] == (1,) else values
+    # of a single frame LeRobot's have other shapes than of more, so that no others can be added; twice is the same, but for the count
+    stats = get_feature_stats(
+        np.repeat(values, 2, axis=0) if len(values) == 1 else values, axis=0, keepdims=values.ndim == 1
+    )
+    return stats | {"count": np.array([len(values)])} if len(values) == 1 else stats
+
+
+def _image_statistics(values: np.ndarray, feature: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """As LeRobot's `compute_episode_stats`, which reads images from files."""
     from lerobot.datasets.compute_stats import auto_downsample_height_width, get_feature_stats, sample_indices
 
-    if feature["dtype"] != "image":
-        # of a single frame LeRobot's have other shapes than of more, so that no others can be added; twice is the same, but for the count
-        stats = get_feature_stats(
-            np.repeat(values, 2, axis=0) if len(values) == 1 else values, axis=0, keepdims=values.ndim == 1
-        )
-        return stats | {"count": np.array([len(values)])} if len(values) == 1 else stats
     images = values[sample_indices(len(values))].transpose(0, 3, 1, 2)
     small = np.stack([auto_downsample_height_width(image) for image in images])
     stats = get_feature_stats(small, axis=(0, 2, 3), keepdims=True)

@@ -4,6 +4,7 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cei_converters.dataset.home import CODEBASE_VERSION
 from cei_gym.errors import CEIError, one_line
 
 if TYPE_CHECKING:
@@ -138,7 +139,6 @@ def _pull_request(api: "HfApi", repo_id: str) -> "Discussion":
 def _tag(api: "HfApi", repo_id: str) -> None:
     """Move the tag that LeRobot loads to what was just uploaded."""
     from huggingface_hub.errors import RevisionNotFoundError
-    from lerobot.datasets.dataset_metadata import CODEBASE_VERSION
 
     with contextlib.suppress(RevisionNotFoundError):
         api.delete_tag(repo_id, tag=CODEBASE_VERSION, repo_type="dataset")

@@ -3,23 +3,23 @@
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
 from cei_converters.dataset import schema
 from cei_converters.dataset.columns import decode_array, read_columns
+from cei_converters.dataset.description import Description
 
 KEYS = (schema.STATE, schema.ACTION)
 """Features that tell episodes apart."""
 
 
-def digests(root: Path, meta: Any, keys: Sequence[str] = KEYS) -> list[str]:
+def digests(root: Path, meta: Description, keys: Sequence[str] = KEYS) -> list[str]:
     """Of all episodes of a dataset.
 
     Args:
         root: its folder.
-        meta: its metadata, a `LeRobotDatasetMetadata`.
+        meta: what it says of itself.
         keys: features to look at.
 
     Raises:

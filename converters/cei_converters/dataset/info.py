@@ -57,11 +57,11 @@ def check_info(info: Mapping[str, Any], where: str) -> None:
             raise CEIError(f"{where}: {key} has shape {feature['shape']}; it should be as long as its names.")
 
 
-def check_episodes(episodes: Any, total: int, root: Path) -> None:
+def check_episodes(table: pa.Table, total: int, root: Path) -> None:
     """Check what is known of each episode.
 
     Args:
-        episodes: LeRobot's table of them, a `datasets.Dataset`.
+        table: of them, a row an episode.
         total: how many there should be.
         root: the dataset's folder.
 
@@ -69,7 +69,6 @@ def check_episodes(episodes: Any, total: int, root: Path) -> None:
         CEIError: naming the column.
     """
     where = f"{root}/meta/episodes"
-    table = episodes.data
     if table.num_rows != total:
         raise CEIError(f"{where} has {table.num_rows} episodes, but total_episodes in meta/info.json is {total}.")
     for name in (*_EPISODE_NUMBERS, "tasks"):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cei_converters.dataset.hidden import link_visible
+from cei_converters.dataset.home import lerobot_home
 from cei_converters.dataset.license import CARD_PATH, copy_license_files, own_file
 from cei_gym.errors import CEIError, one_line
 
@@ -29,15 +30,13 @@ def upgrade(root: Path, version: str) -> Path:
     Raises:
         CEIError: it is not what it says, or LeRobot refuses it.
     """
-    from lerobot.utils.constants import HF_LEROBOT_HOME
-
     from cei_converters.dataset.place import temporary_folder
     from cei_converters.dataset.provenance import fingerprint
 
     if missing := [name for name in _META[:2] if not (root / "meta" / name).is_file()]:
         raise CEIError(f"{root} says that its codebase_version is {version}, but has no meta/{missing[0]}.")
     digest = fingerprint(root).partition(":")[2][:16]
-    upgraded = HF_LEROBOT_HOME / "upgraded" / f"{root.resolve().name}-{digest}"
+    upgraded = lerobot_home() / "upgraded" / f"{root.resolve().name}-{digest}"
     if upgraded.is_dir():
         return upgraded
     print(f"{root} is of an older format; a v3.0 copy is made in {upgraded}.")

@@ -3,6 +3,7 @@
 import contextlib
 from pathlib import Path
 
+from cei_converters.dataset.home import CODEBASE_VERSION, lerobot_home
 from cei_converters.dataset.hub import check_repo_id
 from cei_converters.dataset.metadata import METADATA_PATH
 from cei_gym.errors import CEIError, one_line
@@ -36,9 +37,7 @@ def locate_metadata(dataset: str) -> Path:
     Raises:
         CEIError: there is none.
     """
-    from lerobot.utils.constants import HF_LEROBOT_HOME
-
-    for folder in (Path(dataset), HF_LEROBOT_HOME / dataset):
+    for folder in (Path(dataset), lerobot_home() / dataset):
         if any((folder / path).is_file() for path in (INFO_PATH, METADATA_PATH)):
             return folder
     if Path(dataset).exists():
@@ -54,24 +53,22 @@ def locate_metadata(dataset: str) -> Path:
         return Path(info).parents[1]
     except Exception as error:  # network, authorisation, unknown names: the hub's client has no common class
         raise CEIError(
-            f"no dataset {dataset!r}: it is no folder, not in {HF_LEROBOT_HOME}, and {INFO_PATH} could not be fetched "
+            f"no dataset {dataset!r}: it is no folder, not in {lerobot_home()}, and {INFO_PATH} could not be fetched "
             f"from the hub ({one_line(error)})."
         ) from error
 
 
 def _cached_or_downloaded(repo_id: str, revision: str | None) -> Path:
-    from lerobot.utils.constants import HF_LEROBOT_HOME, HF_LEROBOT_HUB_CACHE
-
     check_repo_id(repo_id)
-    if (HF_LEROBOT_HOME / repo_id / INFO_PATH).is_file():
-        return HF_LEROBOT_HOME / repo_id
+    home = lerobot_home()
+    if (home / repo_id / INFO_PATH).is_file():
+        return home / repo_id
     from huggingface_hub import snapshot_download
     from huggingface_hub.errors import RevisionNotFoundError
-    from lerobot.datasets.dataset_metadata import CODEBASE_VERSION
 
     def download(revision: str) -> Path:
         patterns = ["meta/*", "data/*", "videos/*", "README.md", "LICENSE*", "NOTICE*"]
-        cache = {"cache_dir": HF_LEROBOT_HUB_CACHE, "allow_patterns": patterns}
+        cache = {"cache_dir": home / "hub", "allow_patterns": patterns}
         return Path(snapshot_download(repo_id, repo_type="dataset", revision=revision, **cache))
 
     try:
@@ -83,7 +80,7 @@ def _cached_or_downloaded(repo_id: str, revision: str | None) -> Path:
             return download("main")  # of an older format
     except Exception as error:  # network, authorisation, unknown names: the hub's client has no common class
         raise CEIError(
-            f"dataset {repo_id!r} is neither in {HF_LEROBOT_HOME} nor could it be fetched from the hub "
+            f"dataset {repo_id!r} is neither in {home} nor could it be fetched from the hub "
             f"({one_line(error)}); for a local one set --dataset.root."
         ) from error
 
@@ -105,10 +102,12 @@ def read_info(root: Path) -> dict:
 
 def _as_v30(root: Path) -> Path:
     version = str(read_info(root).get("codebase_version", "unknown"))
-    if version == "v3.0":
+    if version == CODEBASE_VERSION:
         return root
     from cei_converters.dataset import legacy
 
     if version not in legacy.VERSIONS:
-        raise CEIError(f"{root} has codebase_version {version!r}; v3.0, {' and '.join(legacy.VERSIONS)} are read.")
+        raise CEIError(
+            f"{root} has codebase_version {version!r}; {CODEBASE_VERSION}, {' and '.join(legacy.VERSIONS)} are read."
+        )
     return legacy.upgrade(root, version)

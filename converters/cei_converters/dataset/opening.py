@@ -1,15 +1,15 @@
 """Open what describes a dataset: LeRobot's metadata, ours, and the embodiment that they name."""
 
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from cei_converters.dataset import schema
 from cei_converters.dataset.carried import whole_number
+from cei_converters.dataset.description import EPISODES_FOLDER, TASKS_PATH, Description
 from cei_converters.dataset.essentials import difference, find_essentials
-from cei_converters.dataset.hidden import hidden, link_visible
+from cei_converters.dataset.hidden import hidden
 from cei_converters.dataset.info import check_episodes, check_info
 from cei_converters.dataset.locate import INFO_PATH, read_info
 from cei_converters.dataset.metadata import METADATA_PATH, REQUIRED, Metadata, restore_with
@@ -94,21 +94,17 @@ def embodiment_without_metadata(path: Path, given: str | None) -> Embodiment:
     return load_embodiment(given)
 
 
-def load_lerobot_metadata(repo_id: str, root: Path) -> Any:
-    """LeRobot's own metadata, a `LeRobotDatasetMetadata`.
+def describe(root: Path) -> Description:
+    """What a dataset's `meta/` says of it, checked.
 
     Raises:
         CEIError: a file is missing, damaged or wrong, or there are no episodes.
     """
-    import pyarrow.parquet as pq
-    from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
-
-    # LeRobot would fetch what is missing from the hub and mix it in
-    for path in ("meta/episodes", "meta/tasks.parquet", "data"):
+    for path in (EPISODES_FOLDER, TASKS_PATH, "data"):
         if not (root / path).exists():
             raise CEIError(f"{root} is no complete v3.0 dataset: {path} is missing.")
-    if all(hidden(path, root) for path in (root / "meta/episodes").glob("*/*.parquet")):
-        raise CEIError(f"{root} is no complete v3.0 dataset: meta/episodes has no Parquet file.")
+    if all(hidden(path, root) for path in (root / EPISODES_FOLDER).glob("*/*.parquet")):
+        raise CEIError(f"{root} is no complete v3.0 dataset: {EPISODES_FOLDER} has no Parquet file.")
     check_info(read_info(root), str(root / INFO_PATH))
     for path in sorted(path for path in (root / "meta").rglob("*.parquet") if not hidden(path, root)):
         try:
@@ -118,51 +114,37 @@ def load_lerobot_metadata(repo_id: str, root: Path) -> Any:
                 f"{path} cannot be read ({one_line(error)}); download or record the dataset again."
             ) from error
     try:
-        with _without_hidden(root) as seen:
-            meta = LeRobotDatasetMetadata(repo_id, seen)
-        meta.root = root
-    except Exception as error:  # datasets and pyarrow raise many kinds on a damaged file
+        found = Description(root)
+        _ = found.tasks
+    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
         raise CEIError(
             f"{root}/meta cannot be read ({one_line(error)}); download or record the dataset again."
         ) from error
-    if meta.total_episodes == 0:
+    if found.total_episodes == 0:
         raise CEIError(f"{root} has no episodes: total_episodes in {INFO_PATH} is 0.")
-    check_episodes(meta.episodes, meta.total_episodes, root)
-    return meta
+    check_episodes(found.episodes, found.total_episodes, root)
+    return found
 
 
-def task_texts(meta: Any, root: Path) -> dict[int, str]:
+def task_texts(described: Description) -> dict[int, str]:
     """What each task_index stands for, in words.
-
-    Args:
-        meta: a `LeRobotDatasetMetadata`.
-        root: the dataset's folder.
 
     Raises:
         CEIError: `meta/tasks.parquet` does not say.
     """
-    table = meta.tasks
-    found: dict[int, str] = {}
-    texts = table["task"] if "task" in table.columns else table.index  # LeRobot has them as pandas' index
-    numbers = table["task_index"] if "task_index" in table.columns else [None] * len(table)
+    table, found = described.tasks, {}
+    columns = [next((name for name in names if name in table.column_names), None) for names in _TASK_COLUMNS]
+    texts, numbers = ([None] * len(table) if name is None else table[name].to_pylist() for name in columns)
     for text, number in zip(texts, numbers, strict=True):
         whole = whole_number(number)
         if not isinstance(text, str) or whole is None or whole in found:
             raise CEIError(
-                f"{root / 'meta/tasks.parquet'}: {one_line(text, 60)!r} has task_index {one_line(number, 60)}; it should have a text for each whole "
+                f"{described.root / TASKS_PATH}: {one_line(text, 60)!r} has task_index {one_line(number, 60)}; it should have a text for each whole "
                 "number, once; download or record the dataset again."
             )
         found[whole] = text
     return found
 
 
-@contextmanager
-def _without_hidden(root: Path) -> Iterator[Path]:
-    """A dataset's folder, or where hidden files are among its tables of episodes, which LeRobot would read, one with links to the rest
-    of what describes it."""
-    if not any(hidden(path, root) for path in (root / "meta/episodes").glob("*/*")):
-        yield root
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        link_visible(root / "meta", Path(folder, "meta"))
-        yield Path(folder)
+_TASK_COLUMNS = (("task", "__index_level_0__"), ("task_index",))
+"""Where texts and numbers are: LeRobot has the former as the index of a pandas table, whose name may be lost."""

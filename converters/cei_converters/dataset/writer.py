@@ -18,6 +18,7 @@ from cei_converters.dataset.carried import Carried
 from cei_converters.dataset.columns import encode
 from cei_converters.dataset.episodes import EncodedEpisode, EpisodeWriter, encode_episode
 from cei_converters.dataset.essentials import with_essentials
+from cei_converters.dataset.home import lerobot_home
 from cei_converters.dataset.identity import digest
 from cei_converters.dataset.metadata import Environment, Metadata, Provenance, check_scene
 from cei_converters.dataset.place import HiddenFolder, absent, publish
@@ -29,9 +30,7 @@ from cei_gym.errors import CEIError
 
 def default_root(repo_id: str) -> Path:
     """Where LeRobot keeps a local dataset."""
-    from lerobot.utils.constants import HF_LEROBOT_HOME
-
-    return HF_LEROBOT_HOME / repo_id
+    return lerobot_home() / repo_id
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,8 @@ class DatasetWriter:
         cameras: LeRobot's features of cameras whose pictures pass through.
         carried: LeRobot's features of what is carried over.
         tasks: those that have numbers already, in their order; others follow.
-        partial: folder for unfinished files, on the same disk; default: one in a `HiddenFolder`.
+        partial: folder for files, on the same disk, which stays there when the block ends well, for `publish_dataset`; default: one in a
+            `HiddenFolder`, published then.
 
     Attributes:
         environment, provenance: as given; the former's start and the latter may be completed until the block ends.
@@ -105,7 +105,7 @@ class DatasetWriter:
         self._header: Header | None = None
         self._episodes: EpisodeWriter | None = None
         self._records: RecordWriter | None = None
-        self._count = 0
+        self._count, self._written = 0, False
 
     def __enter__(self) -> Self:
         self._token = signals.begin(self._leave)
@@ -201,7 +201,8 @@ class DatasetWriter:
         with contextlib.ExitStack() as each:  # is done whatever becomes of the others, last first
             if self._hidden is not None:
                 each.callback(self._hidden.release, keep=False)
-            each.callback(shutil.rmtree, self._partial, ignore_errors=True)
+            if not self._written:
+                each.callback(shutil.rmtree, self._partial, ignore_errors=True)
             if self._records is not None:
                 each.callback(self._records.close)
             if self._episodes is not None:
@@ -213,10 +214,27 @@ class DatasetWriter:
         self._episodes.finalize()
         self._episodes.check()
         self._records.close()
-        metadata = self._metadata()
-        metadata.save(self._partial)
-        write_card(self._partial, self.repo_id, metadata)
-        publish(self._partial, self.root)
+        if self._hidden is None:
+            self._written = True
+        else:
+            publish_dataset(self._partial, self.root, self.repo_id, self._metadata())
+
+
+def publish_dataset(partial: Path, root: Path, repo_id: str, metadata: Metadata) -> None:
+    """Complete a dataset whose episodes are written, by its metadata and card, and move it to where it is wanted.
+
+    Args:
+        partial: where it is.
+        root: where it is wanted.
+        repo_id: its name.
+        metadata: what is known of it.
+
+    Raises:
+        CEIError: something is there now.
+    """
+    metadata.save(partial)
+    write_card(partial, repo_id, metadata)
+    publish(partial, root)
 
 
 def _encoded(carried: Carried | None, features: Mapping[str, dict]) -> EncodedEpisode | None:

@@ -14,7 +14,7 @@ from cei_converters.dataset.decoding import decode_frames, decode_pictures
 from cei_converters.dataset.depth import camera_name, check_depth_feature, image_depth_m, video_depth_m
 from cei_converters.dataset.locate import locate
 from cei_converters.dataset.metadata import METADATA_PATH, restore_with
-from cei_converters.dataset.opening import choose_embodiment, load_lerobot_metadata, load_metadata, task_texts
+from cei_converters.dataset.opening import choose_embodiment, describe, load_metadata, task_texts
 from cei_converters.dataset.records import RECORDS_PATH, ROWS, load_records
 from cei_converters.sources.actions import BoundActions, action_map, bind_actions, of_all_joints
 from cei_converters.sources.binding import BoundJointMap, bind
@@ -62,11 +62,11 @@ class DatasetReader(Source):
         scene = self.metadata.scene if self.metadata is not None else scene_without_metadata(T_world_base, calibration)
         self.scene = scene if calibration is None else calibration.over(scene)
         self.table_from = table_from(calibration) or (METADATA_PATH if self.metadata is not None else "")
-        self._meta = load_lerobot_metadata(repo_id, self.root)
+        self._meta = describe(self.root)
         self.records = load_records(self.root, int(self._meta.total_episodes))
         self.fps = float(self._meta.fps)
         self.has_clouds = schema.POINT_CLOUD in self._meta.features
-        self._tasks = task_texts(self._meta, self.root)
+        self._tasks = task_texts(self._meta)
         self._bound, self._actions = self._bind(joint_map)
         self.quick = self._bound is None or self._bound.pose is None
         self._check_features()
@@ -133,7 +133,7 @@ class DatasetReader(Source):
 
     def frames(self, index: int) -> int:
         """Frames of an episode, without reading it."""
-        return int(self._meta.episodes[index]["length"])
+        return int(self._meta.episode(index)["length"])
 
     def record(self, index: int) -> dict[str, Any]:
         """What is known of an episode; empty if nothing is.
@@ -194,7 +194,7 @@ class DatasetReader(Source):
             shape = schema.cloud_shape(features[schema.POINT_CLOUD], schema.POINT_CLOUD)
             clouds_world = clouds_world.reshape(len(clouds_world), *shape)
         environment_state = values.get(self._objects)
-        tasks = frame_tasks(table, self._tasks, index) or self._meta.episodes[index]["tasks"]
+        tasks = frame_tasks(table, self._tasks, index) or self._meta.episode(index)["tasks"]
         return Demonstration(
             embodiment=self.embodiment.name,
             fps=self.fps,
@@ -285,7 +285,7 @@ def _columns(features: dict[str, Any], key: str, root: Path) -> list[str]:
 def recordings(repo_id: str, root: str | Path | None, most: int, state: str, action: str | None) -> Recordings:
     """Columns of some episodes; see `read_recordings`."""
     folder = locate(repo_id, root)
-    meta = load_lerobot_metadata(repo_id, folder)
+    meta = describe(folder)
     names = _columns(meta.features, state, folder)
     action_names = [] if action is None else _columns(meta.features, action, folder)
     keys = [key for key in dict.fromkeys((state, action, "timestamp", "frame_index")) if key is not None]
