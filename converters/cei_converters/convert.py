@@ -56,26 +56,27 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.cli.outputs import JSON, Outputs
     from cei_converters.cli.progress import progress_bar
     from cei_converters.cli.result import write_json
-    from cei_converters.conversion.assemble import Assembly
+    from cei_converters.conversion.assemble import assemble
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.executors import warm_up
     from cei_converters.conversion.outcomes import account, residuals
     from cei_converters.conversion.plan import Plan, to_begin_anew
     from cei_converters.conversion.survey import LOWEST, survey
-    from cei_converters.conversion.workers import convert_shards
+    from cei_converters.conversion.workers import convert_shards, processes_for
     from cei_converters.conversion.workplace import Workplace
+    from cei_converters.conversion.writing import Writing
     from cei_converters.dataset.essentials import Remains
-    from cei_converters.dataset.metadata import restore_with
+    from cei_converters.dataset.metadata import plain, restore_with
     from cei_converters.dataset.place import temporary_folder
 
     if config.resume and (root := _new_root(config)).exists():
         return _finished(config, root)
-    if config.executor != "slurm" and not config.dry_run:
-        warm_up("cei_converters.conversion.preloaded")  # for workers, and for who writes
     json = Outputs(config.overwrite, None if config.dry_run else _new_root(config)).file("--json", config.json, JSON)
     with contextlib.ExitStack() as stack:
         root = stack.enter_context(temporary_folder()) / "dry_run" if config.dry_run else _new_root(config)
         place = stack.enter_context(Workplace(root, config.resume))
+        writes = not config.dry_run and config.executor != "slurm"
+        writing = stack.enter_context(Writing()) if writes else None
         begun = Plan.load(place.plan) if place.plan.exists() else None
         if begun is not None:
             _check_unchanged(begun.provenance, config, to_begin_anew(place.folder))
@@ -93,6 +94,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             )
         local = config.executor == "local"
         workers = config.workers or (local and os.cpu_count()) or len(converter.selected)
+        if local and processes_for(workers, -(-len(converter.selected) // config.shard_episodes)) > 1:
+            warm_up("cei_converters.conversion.preloaded")
         frames = [reader.frames(index) for index in converter.selected]
         progress = stack.enter_context(progress_bar("frames"))
         task = progress.add_task("reading joints", total=sum(frames))
@@ -106,7 +109,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
             return _submitted(config, place, missing)
         progress.update(task, description="converting")
-        assembly = None if config.dry_run else stack.enter_context(Assembly(place, plan, converter))
+        if writing is not None:
+            writing.begin(place.root, plain(converter.environment), plain(converter.cameras))
         convert_shards(place, plan, converter, workers, lambda done: progress.update(task, completed=done))
         progress.stop()
         told = account(place, plan, f"{reader.embodiment.name} -> {config.target}")
@@ -126,8 +130,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "results": told.entries,
             **told.choices,
         }
-        if assembly is not None:
-            assembly.finish(told)
+        if writing is not None:
+            assemble(place, plan, converter, told, writing)
         write_json(json, result, residuals=residuals(place, plan))
     if config.dry_run:
         if not config.allow_unreachable:

@@ -76,6 +76,7 @@ class DatasetWriter:
             `HiddenFolder`, published then.
 
     Attributes:
+        partial: folder of unfinished files.
         environment, provenance: as given; the former's start and the latter may be completed until the block ends.
     """
 
@@ -100,7 +101,7 @@ class DatasetWriter:
         self._clouds, self._state_key = clouds, state_key
         self._cameras, self._carried, self._tasks = dict(cameras or {}), dict(carried or {}), list(tasks)
         self._hidden = HiddenFolder(self.root, "cei-record") if partial is None else None
-        self._partial = partial or HiddenFolder(self.root, "cei-record").path / "dataset"
+        self.partial = partial or HiddenFolder(self.root, "cei-record").path / "dataset"
         self._token = object()
         self._header: Header | None = None
         self._episodes: EpisodeWriter | None = None
@@ -117,8 +118,8 @@ class DatasetWriter:
         except Exception:
             signals.end(self._token)
             raise
-        if self._partial.exists():  # of a process that was killed
-            shutil.rmtree(self._partial)
+        if self.partial.exists():  # of a process that was killed
+            shutil.rmtree(self.partial)
         return self
 
     def add(
@@ -168,13 +169,13 @@ class DatasetWriter:
         self._header = header
         self._episodes = EpisodeWriter(
             self.repo_id,
-            self._partial,
+            self.partial,
             fps=int(header.fps) if header.fps == int(header.fps) else header.fps,
             features=with_essentials(header.features | self._cameras | self._carried, self._metadata()),
             robot_type=header.embodiment,
             tasks=self._tasks,
         )
-        self._records = RecordWriter(self._partial)
+        self._records = RecordWriter(self.partial)
 
     def _metadata(self) -> Metadata:
         assert self._header is not None
@@ -202,7 +203,7 @@ class DatasetWriter:
             if self._hidden is not None:
                 each.callback(self._hidden.release, keep=False)
             if not self._written:
-                each.callback(shutil.rmtree, self._partial, ignore_errors=True)
+                each.callback(shutil.rmtree, self.partial, ignore_errors=True)
             if self._records is not None:
                 each.callback(self._records.close)
             if self._episodes is not None:
@@ -217,7 +218,7 @@ class DatasetWriter:
         if self._hidden is None:
             self._written = True
         else:
-            publish_dataset(self._partial, self.root, self.repo_id, self._metadata())
+            publish_dataset(self.partial, self.root, self.repo_id, self._metadata())
 
 
 def publish_dataset(partial: Path, root: Path, repo_id: str, metadata: Metadata) -> None:

@@ -1,0 +1,169 @@
+"""Shards become the files of a dataset, in a process of its own beside the conversion: LeRobot, which writes them, takes six seconds to
+import.
+
+`Writing` starts the process and tells it what to do in a line of JSON; it answers in one, when all is written. That the pipe ends
+tells it that nobody waits for it any more.
+"""
+
+import contextlib
+import json
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self
+
+from cei_converters import signals
+from cei_gym.errors import CEIError
+
+_LOOK_S = 0.02
+
+
+class Writing:
+    """Context manager of the process. It begins its imports at once; in the end it is gone, whether it is done or not."""
+
+    def __enter__(self) -> Self:
+        paths = os.pathsep.join(str(Path(path or ".").resolve()) for path in sys.path)
+        with signals.spared():
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", __name__],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=os.environ | {"PYTHONPATH": paths},
+                text=True,
+            )
+        self._token = signals.begin(self._stop)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop()
+        signals.end(self._token)
+
+    def _stop(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def begin(self, root: Path, environment: dict[str, Any], cameras: dict[str, dict]) -> None:
+        """Have it append the episodes of each shard as soon as it is there.
+
+        Args:
+            root: of the dataset to make, whose plan is saved.
+            environment: what episodes replay in.
+            cameras: LeRobot's features of cameras whose pictures pass through.
+        """
+        self._say({"root": str(root), "environment": environment, "cameras": cameras})
+
+    def result(self) -> Path:
+        """The folder that the episodes are in, once they are.
+
+        Raises:
+            CEIError: pictures that pass through, or columns that are carried over, cannot be read.
+            OSError: a shard is damaged, the disk is full, or the process was killed.
+        """
+        assert self._process.stdout is not None
+        answer = self._process.stdout.readline()
+        if not answer:
+            raise OSError(
+                "the process that writes the dataset was killed, maybe for want of memory; go on with --resume."
+            )
+        found = json.loads(answer)
+        if "folder" in found:
+            return Path(found["folder"])
+        raise (CEIError if found["ours"] else OSError)(found["error"])
+
+    def _say(self, job: dict[str, Any]) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # `result` will tell
+            self._process.stdin.write(json.dumps(job) + "\n")
+            self._process.stdin.flush()
+
+
+def write(root: Path, environment: dict[str, Any], cameras: dict[str, dict]) -> Path:
+    """What the process does; see `Writing`."""
+    import draccus
+    import numpy as np
+
+    from cei_converters.conversion.converter import open_reader
+    from cei_converters.conversion.plan import Plan
+    from cei_converters.conversion.workplace import Workplace
+    from cei_converters.dataset.cameras import Pictures
+    from cei_converters.dataset.metadata import Environment, plain
+    from cei_converters.dataset.writer import DatasetWriter
+
+    place = Workplace(root, resume=True)
+    plan = Plan.load(place.plan)
+    config = plan.config
+    reader = open_reader(config)
+    cameras = {key: feature | {"shape": tuple(feature["shape"])} for key, feature in cameras.items()}
+    with DatasetWriter(
+        str(config.new_repo_id),
+        place.root,
+        environment=draccus.decode(Environment, environment),
+        clouds=plain(config.clouds),
+        provenance=plan.provenance,
+        cameras=cameras,
+        carried=reader.carried,
+        tasks=reader.tasks,
+        partial=place.dataset.with_name(f"{place.dataset.name}-{os.getpid()}"),  # another may go on where we are lost
+    ) as writer:
+        for converted in _converted(place, len(plan.shards)):
+            if converted.encoded is not None:
+                index, frames = converted.outcome["entry"]["episode"], converted.outcome["record"].get("source_frames")
+                frames = None if frames is None else np.array(frames)
+                pictures = reader.pictures(index) if cameras else Pictures()
+                carried = reader.carry(index)
+                writer.append(
+                    converted.header,
+                    converted.encoded,
+                    converted.outcome["record"],
+                    pictures.at(frames),
+                    carried.at(frames),
+                )
+    return writer.partial
+
+
+def _converted(place: Any, shards: int) -> Iterator[Any]:
+    """The episodes of all shards, once each is there."""
+    from cei_converters.conversion.shard import Shard
+
+    for number in range(shards):
+        folder = place.shard(number)
+        while not folder.exists():
+            _check_wanted(_LOOK_S)
+        shard = Shard(folder)
+        shard.check()
+        for converted in shard:
+            _check_wanted()
+            yield converted
+
+
+def _check_wanted(wait_s: float = 0.0) -> None:
+    """End this process, at once and as it is, if nobody waits for it any more."""
+    if select.select([sys.stdin], [], [], wait_s)[0]:  # nothing more is said, so it is the end
+        os._exit(1)
+
+
+def main() -> None:
+    """The process."""
+    import datasets  # noqa: F401
+    import lerobot.datasets  # noqa: F401
+
+    from cei_converters.cli import quiet_libraries
+
+    answers, sys.stdout = sys.stdout, sys.stderr  # whatever a library prints is no answer
+    quiet_libraries()
+    job = sys.stdin.readline()
+    if not job:
+        return
+    told = json.loads(job)
+    try:
+        answer = {"folder": str(write(Path(told["root"]), told["environment"], told["cameras"]))}
+    except (CEIError, OSError) as error:
+        answer = {"error": str(error), "ours": isinstance(error, CEIError)}
+    print(json.dumps(answer), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()
