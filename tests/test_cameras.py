@@ -111,12 +111,14 @@ SMALL = ("--clouds.points=64", "--clouds.robot_points=512", "--check_clouds=fals
 
 
 def run(root: Path, out: Path, *options: str) -> int:
+    """What `options` say of the robots wins."""
+    robots = [f"--source={ROBOT}", f"--target={TARGET}"]
+    given = {option.partition("=")[0] for option in options}
     return convert.main(
         [
             "--dataset.repo_id=me/pick",
             f"--dataset.root={root}",
-            f"--source={ROBOT}",
-            f"--target={TARGET}",
+            *(option for option in robots if option.partition("=")[0] not in given),
             "--new_repo_id=me/out",
             f"--new_root={out}",
             "--init.starts=8",

@@ -13,6 +13,8 @@ from lerobot.policies.factory import make_policy, make_policy_config
 from lerobot.utils.feature_utils import dataset_to_policy_features
 from safetensors.torch import load_file
 
+from cei_converters import convert, record
+
 DP3 = ("--policy.type=dp3", "--policy.down_dims=[16,32]", "--policy.points=64", "--policy.scheduler_warmup_steps=2")
 
 
@@ -32,15 +34,16 @@ def run(script: str, *options: str, cwd: Path) -> str:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("policy")
-    source = ("--env=CEI-PickCube-Panda-PandaGripper", "--episodes=2", "--seed=0", "--repo_id=me/panda", "--root=panda")
-    run("cei-record", *source, cwd=folder)
-    moved = ("--dataset.repo_id=me/panda", "--dataset.root=panda", "--target=UR5e-FourierRight")
-    run("cei-convert", *moved, "--new_repo_id=me/uncut", "--new_root=uncut", cwd=folder)
+    panda, few = folder / "panda", ("--init.starts=64", "--init.basins=2", "--clouds.points=128", "--workers=1")
+    source = ("--env=CEI-PickCube-Panda-PandaGripper", "--episodes=2", "--seed=0", "--repo_id=me/panda")
+    assert record.main([*source, f"--root={panda}"]) == 0
+    moved = ("--dataset.repo_id=me/panda", f"--dataset.root={panda}", "--target=UR5e-FourierRight", *few)
+    assert convert.main([*moved, "--new_repo_id=me/uncut", f"--new_root={folder / 'uncut'}"]) == 0
     edited = ("--new_repo_id=me/ur5e", f"--new_root={folder / 'ur5e'}", "--operation.type=delete_episodes")
     operation = ("--repo_id=me/uncut", f"--root={folder / 'uncut'}", *edited, "--operation.episode_indices=[0]")
     run("lerobot-edit-dataset", *operation, cwd=folder)  # what is left of it trains and is evaluated as any
-    told = ("--privileged_state", "--new_repo_id=me/told", "--new_root=told", "--episodes=1")
-    run("cei-convert", *moved, *told, cwd=folder)
+    told = ("--privileged_state", "--new_repo_id=me/told", f"--new_root={folder / 'told'}", "--episodes=1")
+    assert convert.main([*moved, *told]) == 0
     return folder
 
 

@@ -1,6 +1,7 @@
 """What commands write: results are never replaced unasked, pictures are, by their like; nothing goes where it does not belong, and nothing
 is left half done."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -23,7 +24,7 @@ from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types
 from cei_converters.cli.outputs import JOINT_MAP, JSON, PICTURE, RECORDING, VIDEO, Kind, Output, Outputs
 from cei_converters.conversion.config import ConvertConfig
-from cei_converters.dataset.place import HiddenFolder, check_place
+from cei_converters.dataset.place import HiddenFolder, check_place, tidy
 from cei_converters.dataset.writer import DatasetWriter
 from cei_converters.inspection import command as inspecting
 from cei_converters.view.command import ViewConfig
@@ -414,6 +415,49 @@ def test_what_a_killed_recording_left_goes_with_the_next_to_the_same_folder(name
     with pytest.raises(CEIError, match="/far is, or was, being made on elsewhere; if that has ended, remove"):
         HiddenFolder(tmp_path / "far", "cei-record").acquire()
     living.communicate("\n")
+
+
+@pytest.mark.parametrize("name", ["plan.json", "half"])
+def test_what_is_killed_while_it_removes_its_folder_is_finished_by_the_next(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever of it is gone by then: of a recording that is given up, and beside a dataset that is published."""
+    removed: list[str] = []
+
+    class Killed(BaseException):
+        pass
+
+    def counted(remove: Callable) -> Callable:
+        def call(path: object, *args: object, **kwargs: object) -> object:
+            if len(removed) == kept:
+                raise Killed
+            removed.append(str(path))
+            return remove(path, *args, **kwargs)
+
+        return call
+
+    for kept in range(6):
+        root = tmp_path / f"x{kept}"
+        hidden = HiddenFolder(root, "cei-record")
+        hidden.acquire()
+        (hidden.path / "dataset").mkdir()
+        (hidden.path / "dataset" / "half").touch()
+        (hidden.path / name).touch()
+        removed.clear()
+        with monkeypatch.context() as patch, contextlib.suppress(Killed):
+            for owner, function in ((os, "unlink"), (os, "rmdir")):
+                patch.setattr(owner, function, counted(getattr(owner, function)))
+            hidden.release(keep=False)
+        hidden.release(keep=True)  # as the system does for the dead
+        if kept % 2:
+            root.mkdir()
+            tidy(root)
+            root.rmdir()
+        else:
+            again = HiddenFolder(root, "cei-record")
+            again.acquire(resume=True)
+            again.release(keep=False)
+        assert list(tmp_path.iterdir()) == [], removed
 
 
 def test_recordings_and_conversions_do_not_take_each_others_folders(tmp_path: Path) -> None:

@@ -265,6 +265,7 @@ def test_what_has_changed_is_neither_gone_on_with_nor_uploaded(
     assert convert.main(there) == 0, capsys.readouterr().err
     assert uploaded == [tmp_path / "out"]
     uploaded.clear()
+    capsys.readouterr()
     refuses_what_has_changed(f", or remove {tmp_path / 'out'}.")
     assert convert.main(resume) == 0
     assert uploaded == [tmp_path / "out"]

@@ -281,8 +281,7 @@ def test_a_calibration_of_any_parts_is_fine(parts: dict, holds: Callable[[Any], 
 
 
 @shared
-@pytest.mark.parametrize("target", ["UR5e-FourierRight", "IIWA-Inspire"])
-@pytest.mark.parametrize("known", [True, False], ids=["table given", "table found"])
+@pytest.mark.parametrize(("target", "known"), [("UR5e-FourierRight", False), ("IIWA-Inspire", True)])
 def test_what_robosuite_recorded_holds_the_cube_in_physics(target: str, known: bool) -> None:
     """From where the file has the cube, in PickCube rebuilt by hand: both demonstrations, with a calibration and without."""
     from cei_converters.conversion.survey import LOWEST, survey

@@ -15,15 +15,15 @@ from pathlib import Path
 import killed
 import pytest
 
-from cei_converters import signals
+from cei_converters import convert, signals
 from cei_converters.cli import run
 from cei_converters.dataset.place import temporary_folder
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS: dict[str, str] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
 SAID = {signal.SIGINT: (130, "interrupted\n"), signal.SIGTERM: (143, "terminated\n"), signal.SIGHUP: (129, "hung up\n")}
-MOMENTS = 6
-"""Of each command."""
+MOMENTS_S = ((0.0, 0.0), (0.0, 0.5), (0.5, 1.5), (1.5, 3.0))
+"""Of each command: between which times after it heeds signals one comes."""
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_every_command_is_here() -> None:
 def test_a_signal_ends_a_command_at_any_moment(name: str, source: Path, tmp_path: Path) -> None:
     """In its first seconds, from its first line on: to it alone or, as from a terminal, to all its processes; again while it tidies up."""
     moments = random.Random(name)
-    for i in range(MOMENTS):
+    for i, between in enumerate(MOMENTS_S):
         number = moments.choice(list(SAID))
         here, edited = tmp_path / str(i), tmp_path / "edited"
         here.mkdir()
@@ -106,7 +106,7 @@ def test_a_signal_ends_a_command_at_any_moment(name: str, source: Path, tmp_path
         )
         while not heeds(process):
             time.sleep(0.001)
-        time.sleep(moments.choice([0.0, moments.uniform(0, 0.5), moments.uniform(0, 3)]))
+        time.sleep(moments.uniform(*between))
         send: Callable[[int, int], None] = moments.choice([os.kill, os.killpg])
         with contextlib.suppress(ProcessLookupError):
             send(process.pid, number)
@@ -272,5 +272,5 @@ def test_a_conversion_that_is_terminated_is_gone_on_with(source: Path, tmp_path:
         pytest.skip("it was faster")
     assert process.returncode == 143
     assert error == f"What is done is kept in {shards.parent}: the same command with --resume goes on.\nterminated\n"
-    assert subprocess.run([*args, "--resume"], stdout=subprocess.DEVNULL).returncode == 0
+    assert convert.main([*killed.arguments(source, root), "--resume"]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["x"]

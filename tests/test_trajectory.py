@@ -25,7 +25,7 @@ from cei_gym.alignment import (
 )
 from cei_gym.alignment.kernels import frame, keep_out
 from cei_gym.alignment.kernels.target import load_source, make_target
-from cei_gym.alignment.links import idle_bodies, keep_out_links, link_shapes, pack_obstacles
+from cei_gym.alignment.links import LinkShapes, idle_bodies, keep_out_links, link_shapes, pack_obstacles
 from cei_gym.embodiment import load_embodiment
 from cei_gym.functional import sample_representation
 from cei_gym.kinematics import KinematicTree
@@ -39,6 +39,16 @@ DT_S = 0.05
 def problem_of(name: str, points: int = 32) -> AlignmentProblem:
     embodiment = load_embodiment(name)
     return AlignmentProblem(sample_representation(embodiment, points), KinematicTree(embodiment))
+
+
+@cache
+def follower_of(name: str, clearance: ClearanceOptions) -> Follower:
+    return Follower(problem_of(name), replace(OPTIONS, clearance=clearance))
+
+
+@cache
+def shapes_of(name: str) -> LinkShapes:
+    return link_shapes(load_embodiment(name))
 
 
 def home(problem: AlignmentProblem) -> np.ndarray:
@@ -172,13 +182,12 @@ def test_missing_clearance_of_a_plane_is_that_of_the_meshes(seed: int, height: f
     embodiment = problem.embodiment
     u = np.random.default_rng(seed).uniform(*embodiment.independent_limits)
     options = ClearanceOptions(arm_margin_m=0.02, hand_margin_m=0.0, idle_margin_m=0.005)
-    follower = Follower(problem, replace(OPTIONS, clearance=options))
     motion = Motion(*reach(1), u, surroundings=Surroundings(height))
-    found = follower.shortfall_m(motion, u[None])[0]
+    found = follower_of("Kinova3-FourierRight", options).shortfall_m(motion, u[None])[0]
     data = mujoco.MjData(embodiment.model)
     data.qpos[:] = embodiment.coupled.expand(u)
     mujoco.mj_kinematics(embodiment.model, data)
-    shapes, idle = link_shapes(embodiment), idle_bodies(problem)
+    shapes, idle = shapes_of("Kinova3-FourierRight"), idle_bodies(problem)
     expected = 0.0
     first = problem.tree.arrays.body_joint == 0  # the shoulder only turns about the vertical
     for body, hand in zip(shapes.body, shapes.hand, strict=True):
@@ -217,7 +226,7 @@ def test_points_in_an_idle_finger_are_as_deep_as_in_its_hull(seed: int) -> None:
     problem = problem_of("IIWA-Inspire")
     embodiment = problem.embodiment
     rng = np.random.default_rng(seed)
-    shapes, idle = link_shapes(embodiment), idle_bodies(problem)
+    shapes, idle = shapes_of("IIWA-Inspire"), idle_bodies(problem)
     which = int(rng.choice(np.flatnonzero(idle[shapes.body])))
     hull = trimesh.convex.convex_hull(shapes.vertices_link[which])
     weights = rng.dirichlet(np.ones(len(hull.vertices)))
@@ -226,7 +235,7 @@ def test_points_in_an_idle_finger_are_as_deep_as_in_its_hull(seed: int) -> None:
     T = problem.tree.forward(embodiment.coupled.expand(home(problem)))[shapes.body[which]]
     obstacle = (T[:3, :3] @ inside_link + T[:3, 3])[None]
     far = Surroundings(-10.0, [obstacle])
-    follower = Follower(problem, replace(OPTIONS, clearance=ClearanceOptions(idle_margin_m=0.0)))
+    follower = follower_of("IIWA-Inspire", ClearanceOptions(idle_margin_m=0.0))
     found = follower.shortfall_m(Motion(*reach(1), home(problem), surroundings=far), home(problem)[None])[0]
     assert depth > 0
     assert found >= depth - 1e-6  # sides of the shape touch the hull or stand off

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 
 from cei_gym.embodiment.embodiment import Embodiment, build_embodiment
@@ -17,6 +17,9 @@ END_EFFECTORS = ("FourierRight", "Inspire", "FourierLeft", "RobotiqThreeFinger",
 
 FOLDERS = "CEI_GYM_EMBODIMENTS"
 """Environment variable with folders of your own embodiments, separated as in PATH; each has `arms` and `end_effectors`."""
+
+_KEPT = 8
+"""Compiled embodiments are kept, of 50 to 100 MB each: more than a conversion has, and not all of them."""
 
 _SHIPPED = Path(__file__).parent / "specifications"
 
@@ -58,9 +61,9 @@ def load_end_effector(name: str) -> EndEffectorSpec:
     return _load(EndEffectorSpec, "end_effectors", name)
 
 
-@cache
+@lru_cache(maxsize=_KEPT)
 def load_embodiment(name: str) -> Embodiment:
-    """Build an embodiment (compiled once a process; treat it as read-only).
+    """Build an embodiment (compiled once a process as long as it uses few; treat it as read-only).
 
     Raises:
         CEIError: no such name (the message lists the valid ones), or its description is not installed.

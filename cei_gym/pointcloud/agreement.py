@@ -34,7 +34,8 @@ _YAWS = 8
 _AROUND_M = (-0.15, 0.0, 0.15)  # what is seen of a robot is one side of it
 _ROUNDS, _UPRIGHT_ROUNDS, _LAST_ROUNDS = 40, 12, 5
 _REFINED = 6  # of the starts, those that look best after a few rounds
-_SEARCHED = 400  # points that the search looks at
+_SEARCHED, _SEARCHED_UPRIGHT = 400, 200  # points that the search looks at
+_COARSER = 8  # times fewer samples of the robot will do to tell about where it is
 _TRIMMED = 0.7  # share of the nearest pairs that count: what is carried is not the robot's
 
 
@@ -97,8 +98,9 @@ def cloud_agreement(
     middle = np.concatenate(robots).mean(axis=0)
     tried = [few.refine(np.eye(4), _ROUNDS)]
     if share < _PLAIN and found.share(tried[0]) < _ALL:
-        upright = [few.refine(start, _UPRIGHT_ROUNDS, upright=True) for start in _starts(middle, few.middle)]
-        tried += [few.refine(start, _ROUNDS) for start in sorted(upright, key=few.cost)[:_REFINED]]
+        coarse = _Found(found.thinned(_SEARCHED_UPRIGHT).points, [KDTree(robot[::_COARSER]) for robot in robots])
+        upright = [coarse.refine(start, _UPRIGHT_ROUNDS, upright=True) for start in _starts(middle, coarse.middle)]
+        tried += [few.refine(start, _ROUNDS) for start in sorted(upright, key=coarse.cost)[:_REFINED]]
     best = found.refine(max(tried, key=found.share), _LAST_ROUNDS)
     offset_m = float(np.linalg.norm(best[:3, :3] @ middle + best[:3, 3] - middle))
     return Agreement(count, share, found.share(best), offset_m, best @ T_world_base)

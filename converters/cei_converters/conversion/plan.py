@@ -10,6 +10,7 @@ import draccus
 from draccus.utils import DraccusException
 
 from cei_converters.conversion.config import ConvertConfig
+from cei_converters.conversion.survey import LOWEST
 from cei_converters.dataset.metadata import Provenance, plain
 from cei_gym.alignment import Basin
 from cei_gym.errors import CEIError
@@ -23,8 +24,12 @@ DATASET = "dataset"
 WHERE = ("package_path",)
 """Options that say where to look for what has a fingerprint anyway."""
 
-DECIDED = ("basins", "gate", "verify.dropped")
+DECIDED = ("basins", "gate", "verify.dropped", "table")
 """What provenance has among the options of a finished conversion that nobody gave; see `assemble`."""
+
+
+TABLE = "table_z_m"
+"""The option that says where the table is; where it is not given, it is what was found."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,9 @@ def check_same(begun: Provenance, wanted: Provenance, anew: str) -> None:
         CEIError: naming what differs.
     """
     before, now = (_compared(p.options) | {"dataset.repo_id": p.source and p.source.repo_id} for p in (begun, wanted))
+    table = begun.options.get("table") or {}
+    if table.get("said_by") == LOWEST and now.get(TABLE) in (None, before.get(TABLE)):  # found, not given
+        before.pop(TABLE, None), now.pop(TABLE, None)
     for option in sorted(before.keys() | now.keys()):
         if (was := before.get(option)) != (it_is := now.get(option)):
             raise CEIError(f"--resume: --{option} was {was}, now it is {it_is}; give what was given before{anew}")
