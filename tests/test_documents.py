@@ -93,6 +93,11 @@ def test_options_that_documents_explain_exist() -> None:
     assert count > 20
 
 
+def test_every_command_writes_json_and_replaces_it_only_if_told() -> None:
+    for name, options in OPTIONS.items():
+        assert ({"json", "overwrite"} <= options) is not name.startswith("cei-benchmark"), name
+
+
 # -- that everything is run ---------------------------------------------------------------------------------------
 
 

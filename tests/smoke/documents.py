@@ -50,10 +50,6 @@ ELSEWHERE = {
 """Commands that are not run here, as patterns, and why."""
 
 BEFORE = {
-    "README.md": """
-        from cei_converters.sources.formats import open_source
-        demonstration = open_source("me/pick_panda", "data/pick_panda").read(0)
-        """,
     "policies/README.md": """
         import re, dill, torch
         from lerobot.configs import FeatureType, PolicyFeature
