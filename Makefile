@@ -5,11 +5,12 @@ SHELL := /bin/sh
 PYTHON_ENV := .venv/bin/python
 ENVIRONMENT := .venv/.installed
 PYTEST_ARGS ?=
+DEMO_ARGS ?=
 
 # Python may cache what it compiles: importing everything anew takes 14 s a process.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup demo test ray check format type build benchmark lock clean
+.PHONY: help setup demo test documents ray check format type build benchmark lock clean
 
 help: ## List the targets (the default)
 	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1 # \2/p' $(MAKEFILE_LIST) | awk -F' # ' '{ printf "%-18s %s\n", $$1, $$2 }'
@@ -21,10 +22,13 @@ $(ENVIRONMENT): requirements.lock pyproject.toml envs/pyproject.toml policies/py
 	@touch $@
 
 demo: setup ## Move a skill between two robots and show it: outputs/demo/report.html
-	@$(PYTHON_ENV) -m cei_converters.start demo
+	@$(PYTHON_ENV) -m cei_converters.start demo $(DEMO_ARGS)
 
 test: setup ## Run the tests (PYTEST_ARGS="-k word" picks some)
 	@OMP_NUM_THREADS=1 $(PYTHON_ENV) -m pytest -n 2 --dist worksteal $(PYTEST_ARGS) tests
+
+documents: setup ## Run every command and piece of code of the documents, made small (DOCUMENTS=docs/policies.md picks some)
+	@$(PYTHON_ENV) -P tests/smoke/documents.py . $(DOCUMENTS)
 
 ray: setup ## Test conversions on a Ray cluster of this machine
 	@CEI_RAY=1 $(PYTHON_ENV) -m pytest -k ray tests/test_resume.py

@@ -6,6 +6,7 @@ Four demonstrations of the scripted Panda expert (development seeds 0-3), moved 
 results/alignment/direction_weight.csv: mean pad distance and normal angle by lambda (metres).
 """
 
+import argparse
 import csv
 from dataclasses import replace
 from pathlib import Path
@@ -21,18 +22,22 @@ from cei_gym.transfer import Transfer
 SOURCE = "Panda-PandaGripper"
 TARGETS = ("UR5e-FourierRight", "IIWA-Inspire", "Kinova3-FourierLeft", "Panda-RobotiqThreeFinger")
 LAMBDAS_M = (0.0, 0.05, 0.1, 0.5)
-RESULTS = Path("results/alignment/direction_weight.csv")
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("targets", nargs="*", default=TARGETS)
+    parser.add_argument("--demonstrations", type=int, default=4)
+    parser.add_argument("--results", type=Path, default=Path("results/alignment"))
+    args = parser.parse_args()
     env = open_environment(f"CEI-PickCube-{SOURCE}")
-    episodes = [record_episode(env, seed, seed)[0] for seed in range(4)]
+    episodes = [record_episode(env, seed, seed)[0] for seed in range(args.demonstrations)]
     demonstrations = [replace(e, depth_m={}, point_cloud_world=None) for e in episodes]
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    with RESULTS.open("w", newline="") as file:
+    args.results.mkdir(parents=True, exist_ok=True)
+    with (args.results / "direction_weight.csv").open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["target", "lambda_m", "pad_distance_mm", "normal_angle_deg"])
-        for target in TARGETS:
+        for target in args.targets:
             for lambda_m in LAMBDAS_M:
                 solver = SolverOptions(lambda_m=lambda_m)
                 transfer = Transfer(load_embodiment(SOURCE), load_embodiment(target), solver=solver)

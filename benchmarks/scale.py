@@ -66,7 +66,8 @@ def main() -> None:
     jobs = [(args.workers, n) for n in (1, 2, 1, 2)] if args.workers else [(n, 2) for n in sorted(args.demonstrations)]
     with tempfile.TemporaryDirectory(dir=args.work) as folder:
         root = Path(folder) / "source"
-        write(root, record(range(10)), max(count for count, _ in jobs))
+        most = max(count for count, _ in jobs)
+        write(root, record(range(min(10, most))), most)
         rows = [converted(root, args.target, count, workers) for count, workers in jobs]
     result = {"source": SOURCE, "target": args.target, "frames": FRAMES, "cores": os.cpu_count(), "conversions": rows}
     if args.workers:

@@ -137,7 +137,8 @@ def main() -> None:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "source"
-        write(root, record(range(10)), max(args.demonstrations))
+        most = max(args.demonstrations)
+        write(root, record(range(min(10, most))), most)
         each = steps(root, args.target, min(20, *args.demonstrations))
         print("ms a demonstration on one core: " + ", ".join(f"{step} {ms}" for step, ms in each.items()))
         rows = []

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The main job by hand, on three demonstrations: record on a Panda, convert to a UR5e with a Fourier hand, replay.
-# run: bash examples/03_record_convert_replay.sh [FOLDER]   (FOLDER must not exist; the tools overwrite nothing)
+# run: bash examples/03_record_convert_replay.sh [FOLDER]   (FOLDER must not exist)
 set -euo pipefail
 folder=${1:-outputs/example}
 mkdir -p "$(dirname "$folder")"

@@ -32,12 +32,12 @@ class DemoConfig:
 def commands(config: DemoConfig) -> list[str]:
     """What does the same by hand."""
     return [
-        f"cei-record --env=CEI-PickCube-{SOURCE} --episodes={config.episodes} --seed={config.seed} "
-        "--repo_id=me/pick_cube_panda --root=data/pick_cube_panda",
-        "cei-convert --dataset.repo_id=me/pick_cube_panda --dataset.root=data/pick_cube_panda "
-        f"--target={TARGET} --new_repo_id=me/pick_cube_iiwa --new_root=data/pick_cube_iiwa",
-        "cei-replay --dataset.repo_id=me/pick_cube_iiwa --dataset.root=data/pick_cube_iiwa "
-        "--source.repo_id=me/pick_cube_panda --source.root=data/pick_cube_panda",
+        f"cei-record --env=CEI-PickCube-{SOURCE} --episodes={config.episodes} --seed={config.seed} \\\n"
+        "    --repo_id=me/pick_cube_panda --root=data/pick_cube_panda",
+        f"cei-convert --dataset.repo_id=me/pick_cube_panda --dataset.root=data/pick_cube_panda --target={TARGET} \\\n"
+        "    --new_repo_id=me/pick_cube_iiwa --new_root=data/pick_cube_iiwa",
+        "cei-replay --dataset.repo_id=me/pick_cube_iiwa --dataset.root=data/pick_cube_iiwa \\\n"
+        "    --source.repo_id=me/pick_cube_panda --source.root=data/pick_cube_panda",
     ]
 
 

@@ -85,18 +85,21 @@ def _quality_table(conversion: dict[str, Any]) -> str:
         "iterations_mean": "iterations a frame",
         "limit_hits_max": "joints at a limit, most",
         "joint_step_max_rad": "largest joint step (rad)",
+        "penetration_mm_max": "deepest penetration (mm)",
+        "quality": "quality, 0 to 1",
     }
     rows = [(e["episode"], *(f"{e[key]:.3g}" for key in names)) for e in conversion["results"]]
     return _table(("episode", *names.values()), rows)
 
 
 def _physics_table(embodiments: Sequence[Embodiment]) -> str:
+    parts = [part for e in embodiments for part in (e.arm, e.end_effector) if part is not None]
     rows = [
-        (e.name, exception.kind, "on" if exception.enabled else "off", exception.reason)
-        for e in embodiments
-        for exception in physics_exceptions(e)
+        (part.name, exception.kind, "on" if exception.enabled else "off", exception.reason)
+        for part in parts
+        for exception in part.physics
     ]
-    return _table(("embodiment", "exception", "switch", "reason"), rows)
+    return _table(("arm or end-effector", "exception", "switch", "reason"), rows)
 
 
 def physics_exceptions(embodiment: Embodiment) -> list[PhysicsException]:
