@@ -107,7 +107,7 @@ class Description:
         Raises:
             OSError, ValueError: it cannot be read.
         """
-        return pq.ParquetFile(self.root / TASKS_PATH).read()  # which imports no pandas
+        return pq.ParquetFile(self.root / TASKS_PATH).read()
 
     @cached_property
     def statistics(self) -> dict[str, dict[str, np.ndarray]]:

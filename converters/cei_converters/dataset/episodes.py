@@ -122,10 +122,10 @@ class EpisodeWriter:
             "task_index": np.array([number[task] for task in each]),
         }
         added = encode_episode(place_of_frames, self._meta.features, "")
-        tables = (episode.table, carried.table, added.table)
-        columns = {key: table[key] for table in tables for key in table.column_names}
+        columns = {key: table[key] for table in (episode.table, carried.table) for key in table.column_names}
         found = {**self._statistics(columns), **episode.statistics, **carried.statistics}
-        columns |= pictures.images
+        found |= {key: _number_statistics(values) for key, values in place_of_frames.items()}
+        columns |= {key: added.table[key] for key in added.table.column_names} | pictures.images
         self._write(pa.Table.from_arrays([columns[key] for key in self._schema.names], schema=self._schema))
         chunk, file = self._place
         place: dict[str, int | float] = {

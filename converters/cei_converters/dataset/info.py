@@ -78,7 +78,7 @@ def check_episodes(table: pa.Table, total: int, root: Path) -> None:
         column = table.column(name)
         if not pa.types.is_integer(column.type) or column.null_count:
             raise CEIError(f"{where}: {name} should be a whole number for each episode.")
-    if not np.array_equal(table.column("episode_index").to_numpy(), np.arange(total)):
+    if table.column("episode_index").to_pylist() != list(range(total)):
         raise CEIError(f"{where}: episode_index should count from 0 to {total - 1}.")
     tasks = table.column("tasks")
     if tasks.type not in (pa.list_(pa.string()), pa.large_list(pa.large_string())) or tasks.null_count:
