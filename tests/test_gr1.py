@@ -27,11 +27,9 @@ pytestmark = pytest.mark.skipif(not GR1.exists(), reason="needs ../shared/datase
 
 @pytest.fixture(scope="module", autouse=True)
 def own_robots(tmp_path_factory: pytest.TempPathFactory):
-    from lerobot.utils import constants
-
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(catalogue.FOLDERS, str(EXAMPLE))
-        patch.setattr(constants, "HF_LEROBOT_HOME", tmp_path_factory.mktemp("home"))
+        patch.setenv("HF_LEROBOT_HOME", str(tmp_path_factory.mktemp("home")))
         yield
 
 

@@ -308,9 +308,7 @@ def test_a_real_so101_is_not_called_degrees(capsys: pytest.CaptureFixture) -> No
 def test_a_real_g1s_right_arm_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    from lerobot.utils import constants
-
-    monkeypatch.setattr(constants, "HF_LEROBOT_HOME", tmp_path / "home")
+    monkeypatch.setenv("HF_LEROBOT_HOME", str(tmp_path / "home"))
     joints = [
         f"right_{part}_joint"
         for part in [

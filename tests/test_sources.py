@@ -278,11 +278,9 @@ def v21(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_older_formats_are_read_as_they_are_and_left_alone(
     v21: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lerobot.utils import constants
-
     from cei_converters.dataset.provenance import fingerprint
 
-    monkeypatch.setattr(constants, "HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setenv("HF_LEROBOT_HOME", str(tmp_path))
     before = fingerprint(v21)
     source = open_source("me/old", v21, embodiment=ROBOT)
     for index, demonstration in enumerate(source):
@@ -303,9 +301,7 @@ def test_older_formats_are_read_as_they_are_and_left_alone(
 def test_an_old_dataset_that_is_damaged_is_refused(v21: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import shutil
 
-    from lerobot.utils import constants
-
-    monkeypatch.setattr(constants, "HF_LEROBOT_HOME", tmp_path / "home")
+    monkeypatch.setenv("HF_LEROBOT_HOME", str(tmp_path / "home"))
     root = Path(shutil.copytree(v21, tmp_path / "broken"))
     data = root / "data/chunk-000/episode_000001.parquet"
     data.write_bytes(data.read_bytes()[:100])

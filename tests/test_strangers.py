@@ -194,9 +194,7 @@ def test_hidden_files_are_no_data(tmp_path: Path) -> None:
 
 
 def test_hidden_files_of_older_formats_are_no_data(v21: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from lerobot.utils import constants
-
-    monkeypatch.setattr(constants, "HF_LEROBOT_HOME", tmp_path / "home")
+    monkeypatch.setenv("HF_LEROBOT_HOME", str(tmp_path / "home"))
     root = Path(shutil.copytree(v21, tmp_path / "pick"))
     (root / "videos/chunk-000/observation.images.top").mkdir(parents=True)
     for place in ("", "meta", "data", "data/chunk-000"):

@@ -85,6 +85,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         _check_fit(config, reader)
         # it takes a second a gigabyte, beside the choice of the start
         content = (lambda: "") if config.dry_run else in_background(lambda: fingerprint(reader.root))
+        for name, notes in _notes(converter).items():
+            print("\n".join(f"note: {name}: {note}" for note in notes))
         reader.check_videos(sorted(set(converter.selected)))
         print("\n".join([_about_cameras(reader, bool(converter.cameras)), *_about_columns(reader)]))
         if isinstance(reader.metadata, Remains):
@@ -125,6 +127,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "carried_features": list(reader.carried),
             "dropped_features": reader.dropped,
             "table": {"z_m": reader.scene.support_z_m, "said_by": reader.table_from},
+            "notes": _notes(converter),
             "episodes": len(told.entries),
             "frames": sum(entry["frames"] for entry in told.entries),
             "results": told.entries,
@@ -312,6 +315,11 @@ def _about_cameras(reader: "Recorded", pass_through: bool) -> str:
     return f"{clouds}; passed through untouched, so they still show the source robot: {', '.join(reader.cameras)}."
 
 
+def _notes(converter: "Converter") -> dict[str, list[str]]:
+    """What was assumed or left out of the descriptions of robots, by their names; nothing of those of which nothing is said."""
+    return {body.name: [*body.notes] for body in (converter.reader.embodiment, converter.transfer.target) if body.notes}
+
+
 def _about_columns(reader: "Recorded") -> list[str]:
     """A line each: which features are carried over as they are, and which are not, and why."""
     lines = [f"Carried over as they are: {', '.join(reader.carried)}."] if reader.carried else []
@@ -358,7 +366,7 @@ def _provenance(config: ConvertConfig, converter: "Converter", content: str) -> 
     }
     if config.joint_map is not None:
         options["joint_map"] = load_joint_map(config.joint_map)
-    return collect(options, command_line("cei-convert", config), source=source, inputs=inputs)
+    return collect(options, command_line("cei-convert", config), source=source, inputs=inputs, notes=_notes(converter))
 
 
 def _revision(root: Path) -> str | None:

@@ -299,6 +299,7 @@ def _provenance(root: Path, metadata: Metadata, records: Records) -> str:
             rows.append(("commit of CEI-Gym", provenance.git_commit))
         rows += _source_rows(provenance.source, files)
         rows += [(f"content of {name}", f"`{value}`") for name, value in provenance.inputs.items()]
+        rows += [(f"about {name}", note) for name, notes in provenance.notes.items() for note in notes]
         rows += [(f"version of {name}", value) for name, value in provenance.versions.items()]
         rows += [(f"`--{name}`", f"`{value}`") for name, value in _flat(provenance.options)]
         parts.append(_table(("", ""), rows))

@@ -72,6 +72,7 @@ class Provenance:
     options: dict[str, Any] = field(default_factory=dict)
     inputs: dict[str, str] = field(default_factory=dict)  # what else it is made of, to its fingerprint
     pads: dict[str, Any] = field(default_factory=dict)
+    notes: dict[str, list[str]] = field(default_factory=dict)  # what was assumed or left out of robots' descriptions
     versions: dict[str, str] = field(default_factory=dict)
     git_commit: str | None = None
     date: str = ""

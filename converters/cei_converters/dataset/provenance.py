@@ -7,7 +7,7 @@ import platform
 import shlex
 import subprocess
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -37,6 +37,7 @@ def collect(
     source: Source | None = None,
     inputs: Mapping[str, str] | None = None,
     pads: Mapping[str, Any] | None = None,
+    notes: Mapping[str, Sequence[str]] | None = None,
 ) -> Provenance:
     """Provenance of a dataset that is made now.
 
@@ -46,12 +47,14 @@ def collect(
         source: the dataset that is converted, if any.
         inputs: what else it is made of, to its fingerprint.
         pads: the functional pads that are used, if any.
+        notes: what was assumed or left out of robots' descriptions, by their names.
     """
     return Provenance(
         source=source,
         options=plain(options),
         inputs=dict(inputs or {}),
         pads=plain(dict(pads or {})),
+        notes={name: [*each] for name, each in (notes or {}).items() if each},
         versions=versions(PACKAGES),
         git_commit=git_commit(),
         date=datetime.now(UTC).isoformat(timespec="seconds"),

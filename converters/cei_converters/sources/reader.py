@@ -111,22 +111,33 @@ class DatasetReader(Source):
             raise CEIError(
                 f"two depth features are of one camera: {', '.join(self._depth)}; their last parts should differ."
             )
+        absent = [key for key in self._meta.video_keys if key not in self._depth and self._has_no_file(key)]
+        cameras = [key for key in self._meta.camera_keys if key not in absent]
         pairs = {camera.name: (camera.height, camera.width, 3) for camera in self._depth.values()}
         belonging = [
             key
-            for key in self._meta.camera_keys
+            for key in cameras
             if key not in self._depth and tuple(features[key]["shape"]) == pairs.get(camera_name(key))
         ]
         masks = [key for key in belonging if key.startswith(schema.SEGMENTATION_PREFIX)]
         self._masks = {camera_name(key): key for key in masks}
         self.segmented = bool(masks)
         self._rgb = {camera_name(key): key for key in belonging if key not in masks}
-        self.cameras = {key: features[key] for key in self._meta.camera_keys if key not in self._depth}
+        self.cameras = {key: features[key] for key in cameras if key not in self._depth}
         self._objects = next((key for key in schema.STATES_OF_OBJECTS if key in features), schema.PRIVILEGED_STATE)
         action = None if self._actions is None else self._actions.feature
         used = {self._state, action, schema.POINT_CLOUD, *schema.STATES_OF_OBJECTS, *self._meta.camera_keys}
         self.carried, self.dropped = carried.choose(features, {key for key in used if key is not None})
-        self.dropped |= carried.of_episodes(self._meta)
+        self.dropped |= dict.fromkeys(absent, "as not one of its videos is here") | carried.of_episodes(self._meta)
+        self._absent = frozenset(absent)
+
+    def _has_no_file(self, key: str) -> bool:
+        """Whether a camera is described, as published datasets do, but has not a single video: it was never there, or not downloaded."""
+        try:
+            files = {self._meta.video_file(index, key) for index in range(len(self))}
+        except (KeyError, TypeError, ValueError):  # `find_clip` says what is wrong
+            return False
+        return not any((self.root / file).is_file() for file in files)
 
     def __len__(self) -> int:
         return int(self._meta.total_episodes)
@@ -219,6 +230,8 @@ class DatasetReader(Source):
         """
         for index in episodes:
             for key in self._meta.video_keys:
+                if key in self._absent:
+                    continue
                 find_clip(self.root, self._meta, index, key)
 
     def pictures(self, index: int) -> Pictures:
