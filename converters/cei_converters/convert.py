@@ -75,13 +75,12 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         root = stack.enter_context(temporary_folder()) / "dry_run" if config.dry_run else _new_root(config)
         place = stack.enter_context(Workplace(root, config.resume))
         begun = Plan.load(place.plan) if place.plan.exists() else None
-        if begun is not None:
-            _check_unchanged(begun.provenance, config, to_begin_anew(place.folder))
+        known = "" if begun is None else _check_unchanged(begun.provenance, config, to_begin_anew(place.folder))
         converter = stack.enter_context(Converter(config))
         reader = converter.reader
         _check_fit(config, reader)
         # it takes a second a gigabyte, beside the choice of the start
-        content = (lambda: "") if config.dry_run else in_background(lambda: fingerprint(reader.root))
+        content = (lambda: known) if known or config.dry_run else in_background(lambda: fingerprint(reader.root))
         reader.check_videos(sorted(set(converter.selected)))
         print("\n".join([_about_cameras(reader, bool(converter.cameras)), *_about_columns(reader)]))
         if isinstance(reader.metadata, Remains):
