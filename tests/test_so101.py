@@ -71,6 +71,8 @@ def test_a_camera_with_some_of_its_videos_is_not_taken_for_one_without(
     (source / info["video_path"].format(video_key="observation.images.top", chunk_index=0, file_index=0)).parent.mkdir(
         parents=True
     )
-    (source / info["video_path"].format(video_key="observation.images.top", chunk_index=0, file_index=0)).write_bytes(b"")
+    (source / info["video_path"].format(video_key="observation.images.top", chunk_index=0, file_index=0)).write_bytes(
+        b""
+    )
     assert run(tmp_path, f"--dataset.root={source}") != 0
     assert not (tmp_path / "new").exists()

@@ -78,13 +78,12 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         writes = not config.dry_run and config.executor != "slurm"
         writing = stack.enter_context(Writing()) if writes else None
         begun = Plan.load(place.plan) if place.plan.exists() else None
-        if begun is not None:
-            _check_unchanged(begun.provenance, config, to_begin_anew(place.folder))
+        known = "" if begun is None else _check_unchanged(begun.provenance, config, to_begin_anew(place.folder))
         converter = stack.enter_context(Converter(config))
         reader = converter.reader
         _check_fit(config, reader)
         # it takes a second a gigabyte, beside the choice of the start
-        content = (lambda: "") if config.dry_run else in_background(lambda: fingerprint(reader.root))
+        content = (lambda: known) if known or config.dry_run else in_background(lambda: fingerprint(reader.root))
         for name, notes in _notes(converter).items():
             print("\n".join(f"note: {name}: {note}" for note in notes))
         reader.check_videos(sorted(set(converter.selected)))

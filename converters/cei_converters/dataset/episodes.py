@@ -125,7 +125,7 @@ class EpisodeWriter:
         columns = {key: table[key] for table in (episode.table, carried.table) for key in table.column_names}
         found = {**self._statistics(columns), **episode.statistics, **carried.statistics}
         found |= {key: _number_statistics(values) for key, values in place_of_frames.items()}
-        columns |= {key: added.table[key] for key in added.table.column_names} | pictures.images
+        columns |= {**{key: added.table[key] for key in added.table.column_names}, **pictures.images}
         self._write(pa.Table.from_arrays([columns[key] for key in self._schema.names], schema=self._schema))
         chunk, file = self._place
         place: dict[str, int | float] = {
