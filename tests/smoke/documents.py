@@ -214,17 +214,29 @@ class Runner:
                 yield partial(self.run, document)
 
     def provide_home(self) -> None:
-        """Put what the README has made into LeRobot's cache, once as a stranger's, who knows nothing of ours."""
+        """Put what the README has made into LeRobot's cache, once as a stranger's."""
         for name, origin in (("lab/real", "pick_panda"), ("me/picked", "pick_iiwa")):
             shutil.copytree(self.work / "README/data" / origin, self.home / name)
-        root = self.home / "lab/real/meta"
-        for path in root.glob("cei*"):
+        self._estrange(self.home / "lab/real")
+
+    def _estrange(self, root: Path) -> None:
+        """Make a dataset one that knows nothing of ours: columns have a lab's names, and nothing says how the depth camera was calibrated."""
+        import pyarrow.parquet as pq
+
+        for path in (root / "meta").glob("cei*"):
             path.unlink()
-        info = json.loads((root / "info.json").read_text())
-        info["robot_type"] = None
-        for feature in info["features"].values():
-            (feature.get("info") or {}).pop("cei", None)
-        (root / "info.json").write_text(json.dumps(info))
+        info = json.loads((root / "meta/info.json").read_text())
+        depth = [key for key in info["features"] if key.startswith("observation.depth")]
+        info["features"] = {key: feature for key, feature in info["features"].items() if key not in depth}
+        info["robot_type"] = "panda"
+        for key in ("observation.state", "action"):
+            del info["features"][key]["info"]
+            names = info["features"][key]["names"]
+            info["features"][key]["names"] = [f"panda_{name.partition('.')[0]}" for name in names]
+        (root / "meta/info.json").write_text(json.dumps(info))
+        for path in root.glob("data/*/*.parquet"):
+            table = pq.read_table(path).drop_columns(depth)
+            pq.write_table(table.replace_schema_metadata(), path)
 
     def _of_readme(self, document: str) -> list[Block]:
         return [] if document == "README.md" else [b for b in blocks(self.checkout, "README.md") if b.language in SHELL]
