@@ -110,7 +110,7 @@ def steps(root: Path, target: str, count: int) -> dict[str, float]:
     """Milliseconds of each step a demonstration, on one core."""
     reader = DatasetReader("benchmark/source", root)
     transfer, watch = Transfer(reader.embodiment, load_embodiment(target)), Stopwatch()
-    transfer.fit([reader.read(i) for i in range(8)])
+    transfer.fit([reader.read(i) for i in range(min(8, len(reader)))])
     transfer(reader.read(0))  # compiles
     synthesiser = transfer._synthesiser
     synthesiser.remove = watch.timed("remove the source", synthesiser.remove)

@@ -253,6 +253,21 @@ def test_what_fits_in_two_places_is_not_proposed(write: Write, tmp_path: Path, c
     assert "of it, arm is columns 0 to 6" in text
 
 
+@pytest.mark.parametrize("before", ["", "panda_"])
+def test_a_name_that_another_ends_with_is_its_own(
+    before: str, write: Write, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """finger_joint1 ends with joint1, and is not it."""
+    names = [f"{before}{name}" for name in joint_feature_names(BODY)]
+    assert f"{before}joint1.pos_rad" in names and f"{before}finger_joint1.pos_m" in names
+    order = np.roll(np.arange(9), 2)  # fingers first
+    path = tmp_path / "map.yaml"
+    said(capsys, write(motion()[:, order], names=[names[i] for i in order]), f"--source={ROBOT}", f"--save_map={path}")
+    arm, finger = yaml.safe_load(path.read_text())["joints"]
+    assert (arm["joints"], arm["columns"]) == ("arm", {"start": 2, "end": 9})
+    assert (finger["joints"], finger["columns"]) == ("end_effector", {"start": 0, "end": 1})
+
+
 NESTED = [
     [
         *(f"kLeft{part}" for part in ("Shoulder", "Elbow", "Wrist")),

@@ -92,7 +92,7 @@ def propose(columns: Sequence[Column], embodiment: Embodiment) -> Proposal:
     for part in parts:
         if not part.joints:
             continue
-        found = _by_name(part, columns, side, taken)
+        found = _by_name(part, columns, embodiment, side, taken)
         if isinstance(found, str):
             doubts.append(found)
             continue
@@ -115,11 +115,15 @@ def propose(columns: Sequence[Column], embodiment: Embodiment) -> Proposal:
     return Proposal({"embodiment": embodiment.name, "joints": groups, "ignore": "rest"})
 
 
-def _by_name(part: _Part, columns: Sequence[Column], side: str, taken: set[int]) -> list[int] | str | None:
+def _by_name(
+    part: _Part, columns: Sequence[Column], embodiment: Embodiment, side: str, taken: set[int]
+) -> list[int] | str | None:
     """Columns that are named after the joints; None where they are not."""
     found = []
     for joint in part.names:
-        own = [i for i, column in enumerate(columns) if i not in taken and _same(column.name, joint)]
+        own = [
+            i for i, column in enumerate(columns) if i not in taken and _is(column.name, joint, embodiment.joint_names)
+        ]
         if not own:
             return None
         fitting = [i for i in own if _side([columns[i].name]) in ("", side)] if side else own
@@ -130,10 +134,14 @@ def _by_name(part: _Part, columns: Sequence[Column], side: str, taken: set[int])
     return found if len(set(found)) == len(found) else None
 
 
-def _same(column: str, joint: str) -> bool:
-    """Whether a column's name says a joint's: the same words in whatever spelling, or the joint's at its end."""
-    ours, theirs = _told(joint), _told(column)
-    return bool(ours) and (ours == theirs or column.partition(".pos")[0].endswith(("_" + joint, "." + joint)))
+def _is(column: str, joint: str, joints: Sequence[str]) -> bool:
+    """Whether a column's name says a joint's: the same words in whatever spelling, or the joint's at its end.
+
+    Where the end is also that of a longer one of the robot's `joints`, it is that joint's: finger_joint1 is not joint1.
+    """
+    ours, stem = _told(joint), column.partition(".pos")[0]
+    ends = [name for name in joints if stem == name or stem.endswith(("_" + name, "." + name))]
+    return bool(ours) and (ours == _told(column) or joint == max(ends, key=len, default=None))
 
 
 def _told(name: str) -> frozenset[str]:
