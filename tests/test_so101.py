@@ -51,7 +51,7 @@ def test_its_jaws_meet_where_its_pads_are(tmp_path: Path, capsys: pytest.Capture
         assert not episode["unreachable_frames"]
     # what is not as it was is said, and kept
     printed = capsys.readouterr().out
-    reason = "as not one of its videos is here"
+    reason = "as the dataset is here without its videos"
     assert f"Not carried over, {reason}: observation.images.front, observation.images.top." in printed
     assert result["dropped_features"] == dict.fromkeys(("observation.images.front", "observation.images.top"), reason)
     (note, *_) = result["notes"]["SO101-SO101Jaw"]

@@ -106,7 +106,8 @@ def check_same(begun: Provenance, wanted: Provenance, anew: str) -> None:
     before, now = (_compared(p.options) | {"dataset.repo_id": p.source and p.source.repo_id} for p in (begun, wanted))
     table = begun.options.get("table") or {}
     if table.get("said_by") == LOWEST and now.get(TABLE) in (None, before.get(TABLE)):  # found, not given
-        before.pop(TABLE, None), now.pop(TABLE, None)
+        for options in (before, now):
+            options.pop(TABLE, None)
     for option in sorted(before.keys() | now.keys()):
         if (was := before.get(option)) != (it_is := now.get(option)):
             raise CEIError(f"--resume: --{option} was {was}, now it is {it_is}; give what was given before{anew}")

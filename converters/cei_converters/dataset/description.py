@@ -58,12 +58,12 @@ class Description:
     @property
     def data_path(self) -> str:
         """Template of the path of a file of frames."""
-        return self._info.get("data_path") or _DATA_PATH
+        return self._info.get("data_path", _DATA_PATH)
 
     @property
-    def video_path(self) -> str:
-        """Template of the path of a video."""
-        return self._info.get("video_path") or _VIDEO_PATH
+    def video_path(self) -> str | None:
+        """Template of the path of a video; None if nothing says where they are."""
+        return self._info.get("video_path", _VIDEO_PATH)
 
     def data_file(self, index: int) -> Path:
         """Where an episode's frames are, below the dataset's folder."""
@@ -76,6 +76,8 @@ class Description:
         Raises:
             KeyError: nothing says where.
         """
+        if self.video_path is None:
+            raise KeyError("video_path")
         known = self.episode(index)
         chunk, file = known[f"videos/{key}/chunk_index"], known[f"videos/{key}/file_index"]
         return Path(self.video_path.format(video_key=key, chunk_index=chunk, file_index=file))

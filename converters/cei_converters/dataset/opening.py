@@ -115,7 +115,7 @@ def describe(root: Path) -> Description:
             ) from error
     try:
         found = Description(root)
-        _ = found.tasks
+        _, _ = found.tasks, found.statistics
     except (OSError, ValueError, KeyError, pa.ArrowException) as error:
         raise CEIError(
             f"{root}/meta cannot be read ({one_line(error)}); download or record the dataset again."

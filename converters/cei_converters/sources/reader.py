@@ -111,7 +111,7 @@ class DatasetReader(Source):
             raise CEIError(
                 f"two depth features are of one camera: {', '.join(self._depth)}; their last parts should differ."
             )
-        absent = [key for key in self._meta.video_keys if key not in self._depth and self._has_no_file(key)]
+        absent = [key for key in self._meta.video_keys if key not in self._depth] if self._without_videos() else []
         cameras = [key for key in self._meta.camera_keys if key not in absent]
         pairs = {camera.name: (camera.height, camera.width, 3) for camera in self._depth.values()}
         belonging = [
@@ -128,16 +128,15 @@ class DatasetReader(Source):
         action = None if self._actions is None else self._actions.feature
         used = {self._state, action, schema.POINT_CLOUD, *schema.STATES_OF_OBJECTS, *self._meta.camera_keys}
         self.carried, self.dropped = carried.choose(features, {key for key in used if key is not None})
-        self.dropped |= dict.fromkeys(absent, "as not one of its videos is here") | carried.of_episodes(self._meta)
+        self.dropped |= dict.fromkeys(absent, "as the dataset is here without its videos") | carried.of_episodes(
+            self._meta
+        )
         self._absent = frozenset(absent)
 
-    def _has_no_file(self, key: str) -> bool:
-        """Whether a camera is described, as published datasets do, but has not a single video: it was never there, or not downloaded."""
-        try:
-            files = {self._meta.video_file(index, key) for index in range(len(self))}
-        except (KeyError, TypeError, ValueError):  # `find_clip` says what is wrong
-            return False
-        return not any((self.root / file).is_file() for file in files)
+    def _without_videos(self) -> bool:
+        """Whether videos were never published, or not downloaded; where some are missing, `find_clip` refuses it."""
+        template = self._meta.video_path
+        return template is not None and not (self.root / Path(template).parts[0]).exists()
 
     def __len__(self) -> int:
         return int(self._meta.total_episodes)
