@@ -67,7 +67,7 @@ def rows(folder: Path, table: str) -> list[dict[str, str]]:
 
 def test_a_cell_that_fails_is_named_and_leaves_the_others_intact(folder: Path) -> None:
     *progress, error, summary = (folder / "first.txt").read_text().splitlines()
-    assert error.startswith(f"error: {BROKEN}: ") and f"{BROKEN} is no folder." in error
+    assert error.startswith(f"error: {BROKEN}: ") and f"{BROKEN}/dataset cannot be made: " in error
     assert summary == "error: 1 failed, see above; the same command runs them again."
     assert [line.split(":")[0] for line in progress] == [RECORDING, SOURCE_CELL, *CELLS]
 
@@ -159,7 +159,7 @@ def test_redraw_makes_the_tables_of_what_there_is(folder: Path, tmp_path: Path, 
         ("--targets=IIWA", 1, "Valid: UR5e-FourierRight, IIWA-FourierRight"),
         ("--tables=man", 1, "unknown table 'man'. Did you mean 'main'? Valid: main, ablation, sensitivity."),
         ("--tables=sensitivity --tasks=StackCube", 1, "It has: PickCube; UR5e-FourierRight."),
-        ("--jobs=0", 2, "--jobs=0: at least 1."),
+        ("--jobs=0", 2, "--jobs=0 should be at least 1."),
         ("--results=nowhere --redraw", 1, "no cell is finished in nowhere."),
     ],
 )
@@ -298,7 +298,8 @@ ORPHANS = """
 import time
 from pathlib import Path
 from cei_converters.benchmark.runner import Job, run_jobs
-next(run_jobs([Job("pid", Path("pid").write_text, ("x",)), Job("long", time.sleep, (60,))], 1))
+runs = run_jobs([Job("pid", Path("pid").write_text, ("x",)), Job("long", time.sleep, (60,))], 1)
+next(runs)
 """
 
 
