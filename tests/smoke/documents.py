@@ -33,8 +33,6 @@ SMALLER = [
     (r"(direction_weight\.py)", r"\1 UR5e-RobotiqThreeFinger --demonstrations=1"),
     (r"(blind_control\.py)", r"\1 --episodes=2 --seed=0"),
     (r"(transfer\.py)", r"\1 --demonstrations 2"),
-    (r"(scale\.py)$", r"\1 --demonstrations 1 2"),
-    (r"--workers 400", "--workers 1"),
 ]
 """What makes a command, or a script, quick, by what stands in it."""
 
@@ -45,6 +43,7 @@ ELSEWHERE = {
     r"uv pip install .*": "optional: what a benchmark compares with",
     r"python benchmarks/(alignment|first_frame|observation)\.py": "minutes; tests/test_benchmarks.py runs it smaller",
     r"python benchmarks/camera\.py": "compares with MuJoCo's renderer, which needs a GL library",
+    r"python benchmarks/scale\.py.*": "minutes however small; it records and converts by benchmarks/transfer.py, which is run",
     r"cei-benchmark replay": "an hour; tests/test_benchmark_command.py runs it smaller",
 }
 """Commands that are not run here, as patterns, and why."""
