@@ -497,12 +497,23 @@ def test_a_converted_dataset_converts_again(converted: Path, tmp_path: Path) -> 
 
 def test_missing_videos(rgb_source: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     root = Path(shutil.copytree(rgb_source, tmp_path / "pick"))
-    shutil.rmtree(root / "videos")
+    (path,) = (root / "videos").rglob("*.mp4")
+    path.unlink()
     assert run(root, tmp_path / "sub/out", "--episodes=0") == 1
     message = capsys.readouterr().err
     assert "file-000.mp4 is missing; download the dataset with its videos." in message
     assert message.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["pick"]
+
+
+def test_a_dataset_that_is_here_without_any_of_its_videos(
+    rgb_source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    root = Path(shutil.copytree(rgb_source, tmp_path / "pick"))
+    shutil.rmtree(root / "videos")
+    assert run(root, tmp_path / "out", "--episodes=0") == 0
+    assert f"Not carried over, as the dataset is here without its videos: {VIDEO}." in capsys.readouterr().out
+    assert VIDEO not in json.loads((tmp_path / "out/meta/info.json").read_text())["features"]
 
 
 def test_nothing_says_where_a_video_is(rgb_source: Path, tmp_path: Path) -> None:

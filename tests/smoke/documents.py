@@ -33,8 +33,6 @@ SMALLER = [
     (r"(direction_weight\.py)", r"\1 UR5e-RobotiqThreeFinger --demonstrations=1"),
     (r"(blind_control\.py)", r"\1 --episodes=2 --seed=0"),
     (r"(transfer\.py)", r"\1 --demonstrations 2"),
-    (r"(scale\.py)$", r"\1 --demonstrations 1 2"),
-    (r"--workers 400", "--workers 1"),
 ]
 """What makes a command, or a script, quick, by what stands in it."""
 
@@ -45,6 +43,7 @@ ELSEWHERE = {
     r"uv pip install .*": "optional: what a benchmark compares with",
     r"python benchmarks/(alignment|first_frame|observation)\.py": "minutes; tests/test_benchmarks.py runs it smaller",
     r"python benchmarks/camera\.py": "compares with MuJoCo's renderer, which needs a GL library",
+    r"python benchmarks/scale\.py.*": "minutes however small; it records and converts by benchmarks/transfer.py, which is run",
     r"cei-benchmark replay": "an hour; tests/test_benchmark_command.py runs it smaller",
 }
 """Commands that are not run here, as patterns, and why."""
@@ -140,8 +139,9 @@ def smaller(command: str) -> str:
 
 
 def made_by(command: str) -> list[str]:
-    """Files and folders that a command makes."""
-    return re.findall(r"--(?:new_root|output_dir|save_map|output|sheet|rrd|video|json)=(\S+)", command)
+    """Files and folders that a command makes; not those that it changes in place."""
+    made = re.findall(r"--(?:new_root|output_dir|save_map|output|sheet|rrd|video|json)=(\S+)", command)
+    return [path for path in made if path not in re.findall(r"(?:--|\.)root=(\S+)", command)]
 
 
 class Runner:
@@ -220,14 +220,15 @@ class Runner:
         self._estrange(self.home / "lab/real")
 
     def _estrange(self, root: Path) -> None:
-        """Make a dataset one that knows nothing of ours: columns have a lab's names, and nothing says how the depth camera was calibrated."""
+        """Make a dataset one that knows nothing of ours: joints and actions alone, by a lab's names."""
         import pyarrow.parquet as pq
 
         for path in (root / "meta").glob("cei*"):
             path.unlink()
         info = json.loads((root / "meta/info.json").read_text())
-        depth = [key for key in info["features"] if key.startswith("observation.depth")]
-        info["features"] = {key: feature for key, feature in info["features"].items() if key not in depth}
+        ours = ("observation.depth", "observation.point_cloud", "privileged.")
+        ours = [key for key in info["features"] if key.startswith(ours)]
+        info["features"] = {key: feature for key, feature in info["features"].items() if key not in ours}
         info["robot_type"] = "panda"
         for key in ("observation.state", "action"):
             del info["features"][key]["info"]
@@ -235,7 +236,7 @@ class Runner:
             info["features"][key]["names"] = [f"panda_{name.partition('.')[0]}" for name in names]
         (root / "meta/info.json").write_text(json.dumps(info))
         for path in root.glob("data/*/*.parquet"):
-            table = pq.read_table(path).drop_columns(depth)
+            table = pq.read_table(path).drop_columns(ours)
             pq.write_table(table.replace_schema_metadata(), path)
 
     def _of_readme(self, document: str) -> list[Block]:
