@@ -8,7 +8,7 @@ import numpy as np
 from cei_gym.alignment.kernels.keep_out import KeepOut
 from cei_gym.alignment.problem import AlignmentProblem, ClearanceOptions, Surroundings
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
-from cei_gym.embodiment.meshes import collision_geoms, link_mesh, outermost, spread_directions
+from cei_gym.embodiment.meshes import collision_geoms, geom_vertices, outermost, spread_directions
 from cei_gym.kinematics import KinematicTree
 from cei_gym.kinematics.joints import JointTree, reduce_to_joints
 
@@ -53,10 +53,10 @@ def _link_shapes(embodiment: Embodiment) -> LinkShapes:
     moving = KinematicTree(embodiment).arrays.body_joint >= 0
     bodies, vertices = [], []
     for body in np.flatnonzero(moving | hand):
-        mesh = link_mesh(embodiment.model, collision_geoms(embodiment.model, int(body)))
-        if mesh is not None:
+        geoms = collision_geoms(embodiment.model, int(body))
+        if len(geoms):
             bodies.append(int(body))
-            vertices.append(outermost(np.asarray(mesh.vertices)))
+            vertices.append(outermost(np.concatenate([geom_vertices(embodiment.model, geom) for geom in geoms])))
     return LinkShapes(np.array(bodies, int), hand[bodies], vertices)
 
 

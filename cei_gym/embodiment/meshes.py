@@ -45,6 +45,17 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
     return mesh.apply_transform(T)
 
 
+def geom_vertices(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """(V, 3) vertices of `geom_mesh`; of a mesh as they are compiled, which takes a tenth of the time."""
+    if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
+        return np.asarray(geom_mesh(model, geom).vertices)
+    mesh = model.geom_dataid[geom]
+    first = model.mesh_vertadr[mesh]
+    vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
+    R = Rotation.from_quat(model.geom_quat[geom], scalar_first=True).as_matrix()
+    return vertices @ R.T + model.geom_pos[geom]
+
+
 def link_mesh(model: mujoco.MjModel, geoms: Iterable[int]) -> trimesh.Trimesh | None:
     """Several geoms of one body as one surface in the body's frame, faces in their colours; None if there are none."""
     meshes, rgba = [], geom_colours(model)

@@ -111,7 +111,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             return _submitted(config, place, missing)
         progress.update(task, description="converting")
         if writing is not None:
-            writing.begin(place.root, plain(converter.environment), plain(converter.cameras))
+            features = {"cameras": converter.cameras, "carried": reader.carried, "tasks": reader.tasks}
+            writing.begin(place.root, environment=plain(converter.environment), **plain(features))
         convert_shards(place, plan, converter, workers, lambda done: progress.update(task, completed=done))
         progress.stop()
         told = account(place, plan, f"{reader.embodiment.name} -> {config.target}")

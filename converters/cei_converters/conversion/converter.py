@@ -11,7 +11,7 @@ from cei_converters.conversion.agreement import check_clouds
 from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.conversion.gate import DROPPED, FLAGGED, LOW_QUALITY
-from cei_converters.conversion.in_order import in_order
+from cei_converters.conversion.in_order import in_background, in_order
 from cei_converters.conversion.reach import check_reached
 from cei_converters.conversion.shard import Converted
 from cei_converters.conversion.verify import Verdict, Verifier, open_stage
@@ -54,13 +54,15 @@ class Converter:
 
     def __init__(self, config: ConvertConfig) -> None:
         self._config = config
+        use_package_path(config.package_path)
+        target = in_background(lambda: load_embodiment(config.target))  # MuJoCo compiles for a second, without the GIL
         self.reader = open_reader(config)
         self.selected = self.reader.select(parse_episodes(config.episodes))
         pose = parse_pose("--target_pose", config.target_pose)
         self.T_world_target = self.reader.scene.T_world_base if pose is None else pose
         self.transfer = Transfer(
             self.reader.embodiment,
-            load_embodiment(config.target),
+            target(),
             config.transfer,
             config.solver,
             config.init,

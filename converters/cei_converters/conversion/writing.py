@@ -45,15 +45,14 @@ class Writing:
         self._process.kill()
         self._process.wait()
 
-    def begin(self, root: Path, environment: dict[str, Any], cameras: dict[str, dict]) -> None:
+    def begin(self, root: Path, **features: Any) -> None:
         """Have it append the episodes of each shard as soon as it is there.
 
         Args:
             root: of the dataset to make, whose plan is saved.
-            environment: what episodes replay in.
-            cameras: LeRobot's features of cameras whose pictures pass through.
+            features: arguments of `write`.
         """
-        self._say({"root": str(root), "environment": environment, "cameras": cameras})
+        self._say({"root": str(root), **features})
 
     def result(self) -> Path:
         """The folder that the episodes are in, once they are.
@@ -80,23 +79,43 @@ class Writing:
             self._process.stdin.flush()
 
 
-def write(root: Path, environment: dict[str, Any], cameras: dict[str, dict]) -> Path:
-    """What the process does; see `Writing`."""
+def write(
+    root: Path, environment: dict[str, Any], cameras: dict[str, dict], carried: dict[str, dict], tasks: list[str]
+) -> Path:
+    """What the process does; see `Writing`.
+
+    Args:
+        root: of the dataset to make, whose plan is saved.
+        environment: what episodes replay in.
+        cameras: LeRobot's features of cameras whose pictures pass through.
+        carried: LeRobot's features of what is carried over.
+        tasks: those that have numbers already.
+
+    Returns:
+        The folder that the episodes are in.
+
+    Raises:
+        CEIError: pictures that pass through, or columns that are carried over, cannot be read.
+        OSError: a shard is damaged, or the disk is full.
+    """
     import draccus
     import numpy as np
 
-    from cei_converters.conversion.converter import open_reader
     from cei_converters.conversion.plan import Plan
     from cei_converters.conversion.workplace import Workplace
     from cei_converters.dataset.cameras import Pictures
+    from cei_converters.dataset.carried import Carried
     from cei_converters.dataset.metadata import Environment, plain
     from cei_converters.dataset.writer import DatasetWriter
 
     place = Workplace(root, resume=True)
     plan = Plan.load(place.plan)
     config = plan.config
-    reader = open_reader(config)
-    cameras = {key: feature | {"shape": tuple(feature["shape"])} for key, feature in cameras.items()}
+    reader = _reader(config) if cameras or carried or len(tasks) > 1 else None
+    cameras, carried = (
+        {key: feature | {"shape": tuple(feature["shape"])} for key, feature in features.items()}
+        for features in (cameras, carried)
+    )
     with DatasetWriter(
         str(config.new_repo_id),
         place.root,
@@ -104,24 +123,31 @@ def write(root: Path, environment: dict[str, Any], cameras: dict[str, dict]) -> 
         clouds=plain(config.clouds),
         provenance=plan.provenance,
         cameras=cameras,
-        carried=reader.carried,
-        tasks=reader.tasks,
+        carried=carried,
+        tasks=tasks,
         partial=place.dataset.with_name(f"{place.dataset.name}-{os.getpid()}"),  # another may go on where we are lost
     ) as writer:
         for converted in _converted(place, len(plan.shards)):
             if converted.encoded is not None:
                 index, frames = converted.outcome["entry"]["episode"], converted.outcome["record"].get("source_frames")
                 frames = None if frames is None else np.array(frames)
-                pictures = reader.pictures(index) if cameras else Pictures()
-                carried = reader.carry(index)
+                pictures = reader.pictures(index) if reader and cameras else Pictures()
+                columns = reader.carry(index) if reader else Carried()
                 writer.append(
                     converted.header,
                     converted.encoded,
                     converted.outcome["record"],
                     pictures.at(frames),
-                    carried.at(frames),
+                    columns.at(frames),
                 )
     return writer.partial
+
+
+def _reader(config: Any) -> Any:
+    """Of what does not go through the conversion; robots take seconds to load, so only where there is any."""
+    from cei_converters.conversion.converter import open_reader
+
+    return open_reader(config)
 
 
 def _converted(place: Any, shards: int) -> Iterator[Any]:
@@ -159,7 +185,7 @@ def main() -> None:
         return
     told = json.loads(job)
     try:
-        answer = {"folder": str(write(Path(told["root"]), told["environment"], told["cameras"]))}
+        answer = {"folder": str(write(Path(told.pop("root")), **told))}
     except (CEIError, OSError) as error:
         answer = {"error": str(error), "ours": isinstance(error, CEIError)}
     print(json.dumps(answer), file=answers, flush=True)
