@@ -77,6 +77,7 @@ EXAMPLES = {
     "07_train_and_evaluate.sh": ["out", "2", "2", "1"],
     "08_humanoid_to_arm.sh": ["{shared}/datasets/gr1_pick_n_place_v2.0"],
     "09_real_clouds.sh": ["{shared}/datasets/demogen_egg.zarr"],
+    "10_so101_to_panda.sh": ["{shared}/datasets/so101_pick_v3.0", "{shared}/robots/so101"],
 }
 """Shell scripts, and what they are given. The examples in Python are run by tests/test_examples.py."""
 
@@ -198,7 +199,7 @@ class Runner:
         shared = self.checkout.parent / "shared"
         arguments = [argument.format(shared=shared) for argument in EXAMPLES[script]]
         if str(shared) in arguments[0] and not Path(arguments[0]).exists():
-            self.not_run.append(f"examples/{script} (needs ../shared/datasets)")
+            self.not_run.append(f"examples/{script} (needs ../shared)")
             return
         folder = self.work / script
         copied = shutil.copytree(self.checkout / "examples", folder / "examples") / script
