@@ -15,7 +15,7 @@ import yaml
 from cei_converters.dataset.schema import joint_feature_names
 from cei_converters.dataset.writer import DatasetWriter
 from cei_converters.inspection.command import main as inspect
-from cei_gym.demonstration import Demonstration, Scene
+from cei_gym.demonstration import Camera, Demonstration, Scene
 from cei_gym.embodiment import catalogue, load_embodiment
 
 ROBOT = "Panda-PandaGripper"
@@ -364,3 +364,22 @@ def test_a_real_g1s_right_arm_is_found(
 def test_a_robosuite_file_is_not_called_the_wrong_robot(capsys: pytest.CaptureFixture) -> None:
     text = said(capsys, LIFT, f"--source={ROBOT}")
     assert "without a joint map. Nothing is wrong." in text
+
+
+def test_joints_are_mapped_though_cameras_are_not_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    root, state = tmp_path / "lab", motion()
+    camera = Camera("front", 8, 6, np.array([[8.0, 0, 4], [0, 8.0, 3], [0, 0, 1]]), np.eye(4))
+    scene = Scene(np.eye(4), (camera,), np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]]))
+    with DatasetWriter("me/lab", root) as writer:
+        depth_m = {"front": np.ones((len(state), 6, 8), np.float32)}
+        writer.add(Demonstration(ROBOT, 20.0, state, state, scene, depth_m=depth_m))
+    (root / "meta/cei.json").unlink()
+    older.forget(root)
+    info = json.loads((root / "meta/info.json").read_text())
+    for key in ("observation.state", "action"):
+        info["features"][key]["names"] = [f"panda_{name}" for name in BODY.joint_names]
+    (root / "meta/info.json").write_text(json.dumps(info))
+    file = tmp_path / "map.yaml"
+    text = said(capsys, root, f"--source={ROBOT}", f"--save_map={file}")
+    assert "Proposed joint map" in text and "calibration" not in text
+    assert yaml.safe_load(file.read_text())["embodiment"] == ROBOT

@@ -127,7 +127,7 @@ def _joints(
 
     at, read = (config.dataset.repo_id, config.dataset.root), [recording.index for recording in recordings.episodes]
     try:
-        source = open_source(*at, embodiment=config.source, joint_map=config.joint_map)
+        source = open_source(*at, embodiment=config.source, joint_map=config.joint_map, joints_only=True)
     except CEIError as error:
         if mapped is not None:
             return [str(error)], True, None
@@ -165,7 +165,7 @@ def _tried(
         path = Path(folder, "proposed.yaml")
         path.write_text(yaml.safe_dump(proposed))
         try:
-            source = open_source(config.dataset.repo_id, config.dataset.root, joint_map=path)
+            source = open_source(config.dataset.repo_id, config.dataset.root, joint_map=path, joints_only=True)
             found = check_joints(source, [recording.index for recording in recordings.episodes])
         except CEIError as error:
             return [str(error)], None

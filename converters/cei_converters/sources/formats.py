@@ -23,6 +23,7 @@ def open_source(
     T_world_base: np.ndarray | None = None,
     calibration: Calibration | None = None,
     joint_map: str | Path | None = None,
+    joints_only: bool = False,
 ) -> Source:
     """Open recorded episodes of any format that is read.
 
@@ -33,6 +34,7 @@ def open_source(
         T_world_base: (4, 4) base pose for such a dataset; default: identity.
         calibration: of its depth cameras.
         joint_map: YAML that tells which of its columns are which joints.
+        joints_only: whether nothing that cameras saw is read, so that they need no calibration.
 
     Raises:
         CEIError: whatever is wrong with it, in one line.
@@ -57,7 +59,7 @@ def open_source(
         return ZarrSource(repo_id, str(root), **options)
     from cei_converters.sources.reader import DatasetReader
 
-    return DatasetReader(repo_id, root, **options)
+    return DatasetReader(repo_id, root, **options, joints_only=joints_only)
 
 
 def find_root(repo_id: str, root: str | Path | None = None) -> Path:

@@ -40,6 +40,7 @@ class DatasetReader(Source):
         T_world_base: (4, 4) base pose for such a dataset; default: identity.
         calibration: of its depth cameras; it wins over `meta/cei.json`.
         joint_map: of a dataset whose columns are not named after the embodiment's joints.
+        joints_only: whether nothing that cameras saw is read, so that they need no calibration.
 
     Raises:
         CEIError: whatever is wrong with the dataset, in one line.
@@ -54,6 +55,7 @@ class DatasetReader(Source):
         T_world_base: np.ndarray | None = None,
         calibration: Calibration | None = None,
         joint_map: JointMap | None = None,
+        joints_only: bool = False,
     ) -> None:
         self.repo_id = repo_id
         self.root = locate(repo_id, root)
@@ -69,7 +71,7 @@ class DatasetReader(Source):
         self._tasks = task_texts(self._meta)
         self._bound, self._actions = self._bind(joint_map)
         self.quick = self._bound is None or self._bound.pose is None
-        self._check_features()
+        self._check_features([] if joints_only else self._meta.depth_keys)
 
     def _bind(self, joint_map: JointMap | None) -> tuple[BoundJointMap | None, BoundActions | None]:
         features, body = self._meta.features, self.embodiment
@@ -99,11 +101,11 @@ class DatasetReader(Source):
         if tuple(feature["shape"]) != (len(body.joint_names),):
             raise CEIError(f"{key} has shape {feature['shape']} but {len(body.joint_names)} names.")
 
-    def _check_features(self) -> None:
+    def _check_features(self, depth_keys: Sequence[str]) -> None:
         features = self._meta.features
         calibrated = {camera.name: camera for camera in self.scene.cameras}
         self._depth: dict[str, Camera] = {}
-        for key in self._meta.depth_keys:
+        for key in depth_keys:
             check_depth_feature(key, features[key], calibrated)
             self._depth[key] = calibrated[camera_name(key)]
         self.depth_cameras = tuple(camera.name for camera in self._depth.values())
