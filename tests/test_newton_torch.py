@@ -24,6 +24,7 @@ from cei_gym.alignment import (
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.newton import NewtonSolver
 from cei_gym.alignment.newton_torch import TorchNewtonSolver
+from cei_gym.alignment.paper import PaperSolver
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance, sample_representation
@@ -264,9 +265,9 @@ def test_a_device_that_is_not_there_is_refused() -> None:
     with pytest.raises(CEIError, match="Did you mean 'cuda'\\? Valid: auto, cpu, cuda, mps"):
         TorchNewtonSolver(problem, SolverOptions(device="cuda1"))
     for device, here in (("cuda", torch.cuda.is_available()), ("mps", torch.backends.mps.is_available())):
-        if not here:
+        for solver in (TorchNewtonSolver, PaperSolver) if not here else ():
             with pytest.raises(CEIError, match=f"solver.device={device}"):
-                TorchNewtonSolver(problem, SolverOptions(device=device))
+                solver(problem, SolverOptions(device=device))
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
