@@ -44,6 +44,10 @@ class Writing:
     def _stop(self) -> None:
         self._process.kill()
         self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    pipe.close()
 
     def begin(self, root: Path, **features: Any) -> None:
         """Have it append the episodes of each shard as soon as it is there.
@@ -173,13 +177,13 @@ def _check_wanted(wait_s: float = 0.0) -> None:
 
 def main() -> None:
     """The process."""
+    from cei_converters.cli import quiet_libraries
+
+    quiet_libraries()
+    answers, sys.stdout = sys.stdout, sys.stderr  # whatever a library prints is no answer
     import datasets  # noqa: F401
     import lerobot.datasets  # noqa: F401
 
-    from cei_converters.cli import quiet_libraries
-
-    answers, sys.stdout = sys.stdout, sys.stderr  # whatever a library prints is no answer
-    quiet_libraries()
     job = sys.stdin.readline()
     if not job:
         return

@@ -1,0 +1,65 @@
+"""What LeRobot writes is written by a process beside the conversion, which ends with it, whoever calls it and however it ends."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from cei_converters.conversion.writing import Writing
+from cei_converters.dataset.writer import DatasetWriter
+from cei_converters.sources.formats import open_source
+from cei_gym.demonstration import Demonstration, Scene
+from cei_gym.embodiment import load_embodiment
+
+ROBOT, PATIENCE_S = "Panda-PandaGripper", 60
+
+
+def processes() -> list[psutil.Process]:
+    return [each for each in psutil.Process().children() if any("conversion.writing" in arg for arg in each.cmdline())]
+
+
+def test_a_killed_one_is_told_of() -> None:
+    with Writing() as writing:
+        (process,) = processes()
+        process.kill()
+        with pytest.raises(OSError, match=r"the process that writes the dataset was killed.*go on with --resume"):
+            writing.result()
+    assert not processes()
+
+
+def test_it_ends_with_a_parent_that_is_killed() -> None:
+    script = "import os; from cei_converters.conversion.writing import Writing; w = Writing().__enter__(); print(1, flush=True); os.kill(os.getpid(), 9)"
+    parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None and parent.stdout.readline() == "1\n"
+    left = [
+        each
+        for each in psutil.process_iter(["cmdline"])
+        if "cei_converters.conversion.writing" in (each.info["cmdline"] or [])
+    ]
+    parent.wait()
+    gone, alive = psutil.wait_procs([each for each in left if each.ppid() in (1, parent.pid)], timeout=PATIENCE_S)
+    assert gone and not alive
+
+
+def test_a_script_without_a_guard_converts(tmp_path: Path) -> None:
+    """As people write them: nothing runs it a second time."""
+    body = load_embodiment(ROBOT)
+    path = body.home + 0.05 * np.sin(np.linspace(0, 2, 8))[:, None] * (np.arange(len(body.home)) < body.n_arm)
+    scene = Scene(np.eye(4), (), np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]]))
+    with DatasetWriter("me/pick", tmp_path / "pick") as writer:
+        writer.add(Demonstration(ROBOT, 20.0, path, path, scene, task="pick"))
+    script = tmp_path / "mine.py"
+    script.write_text(
+        "from cei_converters.convert import main\n"
+        f"code = main(['--dataset.repo_id=me/pick', '--dataset.root={tmp_path / 'pick'}', '--target=UR5e-PandaGripper',\n"
+        f"    '--new_repo_id=me/new', '--new_root={tmp_path / 'new'}', '--init.starts=8', '--allow_unreachable'])\n"
+        "print('once', code)\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=300, check=False)
+    assert done.stdout.splitlines()[-1] == "once 0", done.stderr
+    assert done.stdout.count("once") == 1
+    (moved,) = open_source("me/new", tmp_path / "new")
+    assert moved.embodiment == "UR5e-PandaGripper" and len(moved) >= len(path)
