@@ -3,9 +3,14 @@
 import contextlib
 import ctypes
 import gc
+import signal
 from collections.abc import Iterator
 
 import pytest
+
+# Shells and nohup have what they start in the background ignore these, and it would be so for every process that a test starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -259,7 +259,11 @@ def test_no_map_is_no_success(here: Path, source: Path, capsys: pytest.CaptureFi
         assert inspecting.main(args) == 1
     finally:
         state.write_text(json.dumps(info))
-    assert capsys.readouterr().err == "error: there is no joint map to save, so map.yaml is not made.\n"
+    error = capsys.readouterr().err
+    assert error.startswith(
+        "error: no joint map could be proposed, so map.yaml is not made: no 6 neighbouring columns are within"
+    )
+    assert error.endswith("is it the right robot?\n") and error.count("\n") == 1
     assert list(tree(here)) == ["found.json"]
 
 

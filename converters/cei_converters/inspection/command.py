@@ -102,8 +102,8 @@ def inspect(config: InspectConfig) -> dict[str, Any]:
             raise CEIError(
                 f"columns are the robot's joints by their names, so no joint map is proposed, and {file} is not made."
             )
-        why = of_joints[0].removesuffix(".") if of_joints else "nothing here tells columns and joints"
-        raise CEIError(f"no joint map could be proposed, so {file} is not made: {why}.")
+        why = of_joints[0] if of_joints else "nothing here tells columns and joints."
+        raise CEIError(f"no joint map could be proposed, so {file} is not made: {why}")
     return result
 
 
