@@ -21,13 +21,22 @@ def processes() -> list[psutil.Process]:
     return [each for each in psutil.Process().children() if any("conversion.writing" in arg for arg in each.cmdline())]
 
 
-def test_a_killed_one_is_told_of() -> None:
+def test_a_killed_one_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "lerobot.datasets", raising=False)
     with Writing() as writing:
+        writing.begin(tmp_path)
         (process,) = processes()
         process.kill()
         with pytest.raises(OSError, match=r"the process that writes the dataset was killed.*go on with --resume"):
             writing.result()
     assert not processes()
+
+
+def test_none_is_started_where_lerobot_is_imported() -> None:
+    import lerobot.datasets  # noqa: F401
+
+    with Writing():
+        assert not processes()
 
 
 def test_it_ends_with_a_parent_that_is_killed() -> None:

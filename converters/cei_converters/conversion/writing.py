@@ -2,7 +2,7 @@
 import.
 
 `Writing` starts the process and tells it what to do in a line of JSON; it answers in one, when all is written. That the pipe ends
-tells it that nobody waits for it any more.
+tells it that nobody waits for it any more. Where LeRobot is imported already, as in a second conversion of one process, none is started.
 """
 
 import contextlib
@@ -11,7 +11,7 @@ import os
 import select
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,12 +19,20 @@ from cei_converters import signals
 from cei_gym.errors import CEIError
 
 _LOOK_S = 0.02
+_LEROBOT = "lerobot.datasets"
 
 
 class Writing:
     """Context manager of the process. It begins its imports at once; in the end it is gone, whether it is done or not."""
 
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[str] | None = None
+        self._job: tuple[Path, dict[str, Any]] | None = None
+
     def __enter__(self) -> Self:
+        self._token = signals.begin(self._stop)
+        if _LEROBOT in sys.modules:
+            return self
         paths = os.pathsep.join(str(Path(path or ".").resolve()) for path in sys.path)
         with signals.spared():
             self._process = subprocess.Popen(
@@ -34,7 +42,6 @@ class Writing:
                 env=os.environ | {"PYTHONPATH": paths},
                 text=True,
             )
-        self._token = signals.begin(self._stop)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -42,6 +49,8 @@ class Writing:
         signals.end(self._token)
 
     def _stop(self) -> None:
+        if self._process is None:
+            return
         self._process.kill()
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
@@ -56,7 +65,12 @@ class Writing:
             root: of the dataset to make, whose plan is saved.
             features: arguments of `write`.
         """
-        self._say({"root": str(root), **features})
+        self._job = root, features
+        if self._process is not None:
+            assert self._process.stdin is not None
+            with contextlib.suppress(BrokenPipeError):  # `result` will tell
+                self._process.stdin.write(json.dumps({"root": str(root), **features}) + "\n")
+                self._process.stdin.flush()
 
     def result(self) -> Path:
         """The folder that the episodes are in, once they are.
@@ -65,6 +79,10 @@ class Writing:
             CEIError: pictures that pass through, or columns that are carried over, cannot be read.
             OSError: a shard is damaged, the disk is full, or the process was killed.
         """
+        assert self._job is not None
+        if self._process is None:
+            root, features = self._job
+            return write(root, **features)
         assert self._process.stdout is not None
         answer = self._process.stdout.readline()
         if not answer:
@@ -76,15 +94,14 @@ class Writing:
             return Path(found["folder"])
         raise (CEIError if found["ours"] else OSError)(found["error"])
 
-    def _say(self, job: dict[str, Any]) -> None:
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # `result` will tell
-            self._process.stdin.write(json.dumps(job) + "\n")
-            self._process.stdin.flush()
-
 
 def write(
-    root: Path, environment: dict[str, Any], cameras: dict[str, dict], carried: dict[str, dict], tasks: list[str]
+    root: Path,
+    environment: dict[str, Any],
+    cameras: dict[str, dict],
+    carried: dict[str, dict],
+    tasks: list[str],
+    go_on: Callable[[float], None] = lambda _: None,
 ) -> Path:
     """What the process does; see `Writing`.
 
@@ -94,6 +111,7 @@ def write(
         cameras: LeRobot's features of cameras whose pictures pass through.
         carried: LeRobot's features of what is carried over.
         tasks: those that have numbers already.
+        go_on: called now and then, with how many seconds there is nothing to do; it ends the process if it is not to go on.
 
     Returns:
         The folder that the episodes are in.
@@ -131,7 +149,7 @@ def write(
         tasks=tasks,
         partial=place.dataset.with_name(f"{place.dataset.name}-{os.getpid()}"),  # another may go on where we are lost
     ) as writer:
-        for converted in _converted(place, len(plan.shards)):
+        for converted in _converted(place, len(plan.shards), go_on):
             if converted.encoded is not None:
                 index, frames = converted.outcome["entry"]["episode"], converted.outcome["record"].get("source_frames")
                 frames = None if frames is None else np.array(frames)
@@ -154,22 +172,22 @@ def _reader(config: Any) -> Any:
     return open_reader(config)
 
 
-def _converted(place: Any, shards: int) -> Iterator[Any]:
+def _converted(place: Any, shards: int, go_on: Callable[[float], None]) -> Iterator[Any]:
     """The episodes of all shards, once each is there."""
     from cei_converters.conversion.shard import Shard
 
     for number in range(shards):
         folder = place.shard(number)
         while not folder.exists():
-            _check_wanted(_LOOK_S)
+            go_on(_LOOK_S)
         shard = Shard(folder)
         shard.check()
         for converted in shard:
-            _check_wanted()
+            go_on(0.0)
             yield converted
 
 
-def _check_wanted(wait_s: float = 0.0) -> None:
+def _check_wanted(wait_s: float) -> None:
     """End this process, at once and as it is, if nobody waits for it any more."""
     if select.select([sys.stdin], [], [], wait_s)[0]:  # nothing more is said, so it is the end
         os._exit(1)
@@ -189,7 +207,7 @@ def main() -> None:
         return
     told = json.loads(job)
     try:
-        answer = {"folder": str(write(Path(told.pop("root")), **told))}
+        answer = {"folder": str(write(Path(told.pop("root")), **told, go_on=_check_wanted))}
     except (CEIError, OSError) as error:
         answer = {"error": str(error), "ours": isinstance(error, CEIError)}
     print(json.dumps(answer), file=answers, flush=True)
