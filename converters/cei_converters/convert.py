@@ -111,8 +111,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             return _submitted(config, place, missing)
         progress.update(task, description="converting")
         if writing is not None:
-            features = {"cameras": converter.cameras, "carried": reader.carried, "tasks": reader.tasks}
-            writing.begin(place.root, environment=plain(converter.environment), **plain(features))
+            passed = {"cameras": converter.cameras, "carried": reader.carried, "carries": reader.carries}
+            writing.begin(place.root, **plain({"environment": converter.environment, "tasks": reader.tasks, **passed}))
         convert_shards(place, plan, converter, workers, lambda done: progress.update(task, completed=done))
         progress.stop()
         told = account(place, plan, f"{reader.embodiment.name} -> {config.target}")

@@ -13,10 +13,16 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from cei_converters import signals
 from cei_gym.errors import CEIError
+
+if TYPE_CHECKING:
+    from cei_converters.conversion.config import ConvertConfig
+    from cei_converters.conversion.shard import Converted
+    from cei_converters.conversion.workplace import Workplace
+    from cei_converters.sources.source import Source
 
 _LOOK_S = 0.02
 _LEROBOT = "lerobot.datasets"
@@ -58,18 +64,18 @@ class Writing:
                 with contextlib.suppress(BrokenPipeError):
                     pipe.close()
 
-    def begin(self, root: Path, **features: Any) -> None:
+    def begin(self, root: Path, **known: Any) -> None:
         """Have it append the episodes of each shard as soon as it is there.
 
         Args:
             root: of the dataset to make, whose plan is saved.
-            features: arguments of `write`.
+            known: JSON types, the other arguments of `write`.
         """
-        self._job = root, features
+        self._job = root, known
         if self._process is not None:
             assert self._process.stdin is not None
             with contextlib.suppress(BrokenPipeError):  # `result` will tell
-                self._process.stdin.write(json.dumps({"root": str(root), **features}) + "\n")
+                self._process.stdin.write(json.dumps({"root": str(root), **known}) + "\n")
                 self._process.stdin.flush()
 
     def result(self) -> Path:
@@ -81,8 +87,8 @@ class Writing:
         """
         assert self._job is not None
         if self._process is None:
-            root, features = self._job
-            return write(root, **features)
+            root, known = self._job
+            return write(root, **known)
         assert self._process.stdout is not None
         answer = self._process.stdout.readline()
         if not answer:
@@ -100,6 +106,7 @@ def write(
     environment: dict[str, Any],
     cameras: dict[str, dict],
     carried: dict[str, dict],
+    carries: bool,
     tasks: list[str],
     go_on: Callable[[float], None] = lambda _: None,
 ) -> Path:
@@ -110,6 +117,7 @@ def write(
         environment: what episodes replay in.
         cameras: LeRobot's features of cameras whose pictures pass through.
         carried: LeRobot's features of what is carried over.
+        carries: whether anything is, be it tasks.
         tasks: those that have numbers already.
         go_on: called now and then, with how many seconds there is nothing to do; it ends the process if it is not to go on.
 
@@ -133,7 +141,7 @@ def write(
     place = Workplace(root, resume=True)
     plan = Plan.load(place.plan)
     config = plan.config
-    reader = _reader(config) if cameras or carried or len(tasks) > 1 else None
+    reader = _reader(config) if cameras or carries else None
     cameras, carried = (
         {key: feature | {"shape": tuple(feature["shape"])} for key, feature in features.items()}
         for features in (cameras, carried)
@@ -165,14 +173,14 @@ def write(
     return writer.partial
 
 
-def _reader(config: Any) -> Any:
+def _reader(config: "ConvertConfig") -> "Source":
     """Of what does not go through the conversion; robots take seconds to load, so only where there is any."""
     from cei_converters.conversion.converter import open_reader
 
     return open_reader(config)
 
 
-def _converted(place: Any, shards: int, go_on: Callable[[float], None]) -> Iterator[Any]:
+def _converted(place: "Workplace", shards: int, go_on: Callable[[float], None]) -> Iterator["Converted"]:
     """The episodes of all shards, once each is there."""
     from cei_converters.conversion.shard import Shard
 

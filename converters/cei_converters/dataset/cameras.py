@@ -62,7 +62,7 @@ def read_pictures(root: Path, meta: Description, index: int, keys: Sequence[str]
 
     Args:
         root: the dataset's folder.
-        meta: its metadata, a `LeRobotDatasetMetadata`.
+        meta: what it says of itself.
         index: the episode.
         keys: the cameras' features.
 

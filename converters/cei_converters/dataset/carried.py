@@ -186,7 +186,7 @@ def read_carried(
 
     Args:
         root: the dataset's folder.
-        meta: its metadata, a `LeRobotDatasetMetadata`.
+        meta: what it says of itself.
         index: the episode.
         features: those that are carried.
         tasks: task_index to words.

@@ -253,6 +253,11 @@ class DatasetReader(Source):
         counted = sorted(self._tasks) == list(range(len(self._tasks))) == list(range(len(set(self._tasks.values()))))
         return [self._tasks[number] for number in sorted(self._tasks)] if counted else []
 
+    @property
+    def carries(self) -> bool:
+        """See `Source.carries`."""
+        return super().carries or len(self._tasks) > 1
+
     def masks(self, index: int) -> dict[str, np.ndarray]:
         """See `Source.masks`."""
         images = [key for key in self._masks.values() if key in self._meta.image_keys]

@@ -79,6 +79,11 @@ class Source(ABC):
         """All of the dataset's, in the order of their numbers, where it has them; else none."""
         return []
 
+    @property
+    def carries(self) -> bool:
+        """Whether `carry` has anything: columns, or tasks that may differ from frame to frame."""
+        return bool(self.carried)
+
     @abstractmethod
     def __len__(self) -> int: ...
 
