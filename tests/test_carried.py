@@ -1,6 +1,7 @@
 """What does not depend on the robot is carried over, frame by frame, and what does is listed."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +146,26 @@ def test_tasks_stay_per_frame_with_their_numbers(source: Path, converted: Path) 
     assert tables[0]["task_index"].to_dict() == tables[1]["task_index"].to_dict()
     episodes = pq.read_table(converted / "meta/episodes/chunk-000/file-000.parquet")
     assert episodes["tasks"].to_pylist() == [[TASKS[0], TASKS[1]], [TASKS[2]]]
+
+
+def test_tasks_stay_per_frame_though_their_numbers_have_gaps_and_nothing_else_is_carried(
+    source: Path, tmp_path: Path
+) -> None:
+    import pandas as pd
+
+    root = Path(shutil.copytree(source, tmp_path / "pick"))
+    tasks, data = root / "meta/tasks.parquet", root / "data/chunk-000/file-000.parquet"
+    numbers = pd.read_parquet(tasks)
+    numbers["task_index"] *= 2
+    numbers.to_parquet(tasks)
+    table = pq.read_table(data)
+    doubled = pa.array(2 * table["task_index"].to_numpy())
+    pq.write_table(table.set_column(table.schema.get_field_index("task_index"), "task_index", doubled), data)
+    assert run(root, tmp_path / "out", f"--drop_features={','.join(CARRIED)}") == 0
+    out = open_source("me/out", tmp_path / "out")
+    for episode in range(len(out)):
+        frames = out.record(episode)["source_frames"]
+        assert out.carry(episode).tasks == tuple(task_of(episode, t) for t in frames)
 
 
 def test_types_shapes_and_statistics_are_lerobots(source: Path, converted: Path) -> None:
