@@ -27,11 +27,11 @@ def own_robots(tmp_path_factory: pytest.TempPathFactory):
         yield
 
 
-def run(out: Path, *options: str) -> int:
+def run(out: Path, *options: str, root: Path = DATASET) -> int:
     return convert.main(
         [
             "--dataset.repo_id=lab/so101",
-            f"--dataset.root={DATASET}",
+            f"--dataset.root={root}",
             f"--joint_map={EXAMPLE / 'joint_map.yaml'}",
             "--target=Panda-PandaGripper",
             "--target_pose=-0.3,0,0",
@@ -63,16 +63,10 @@ def test_its_jaws_meet_where_its_pads_are(tmp_path: Path, capsys: pytest.Capture
     assert note in card and reason in card
 
 
-def test_a_camera_with_some_of_its_videos_is_not_taken_for_one_without(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_dataset_that_lacks_some_of_its_videos_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     source = Path(shutil.copytree(DATASET, tmp_path / "source"))
-    info = json.loads((source / "meta/info.json").read_text())
-    (source / info["video_path"].format(video_key="observation.images.top", chunk_index=0, file_index=0)).parent.mkdir(
-        parents=True
-    )
-    (source / info["video_path"].format(video_key="observation.images.top", chunk_index=0, file_index=0)).write_bytes(
-        b""
-    )
-    assert run(tmp_path, f"--dataset.root={source}") != 0
+    (source / "videos/observation.images.top/chunk-000").mkdir(parents=True)
+    assert run(tmp_path, root=source) == 1
+    error = capsys.readouterr().err
+    assert "is missing; download the dataset with its videos." in error and error.count("\n") == 1
     assert not (tmp_path / "new").exists()

@@ -14,12 +14,14 @@ import zarr
 
 from cei_converters import convert
 from cei_converters.dataset.schema import feature_names, joint_feature_names
+from cei_converters.dataset.starts import find_starts
 from cei_converters.dataset.writer import DatasetWriter
 from cei_converters.sources.formats import open_source
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.untrusted import load_json, load_yaml
+from lerobot_policy_dp3.clouds import bounds_of
 
 ROBOT = "Panda-PandaGripper"
 BODY = load_embodiment(ROBOT)
@@ -302,3 +304,11 @@ def test_a_link_in_hdf5_that_nobody_needs_is_no_matter(robomimic: Path) -> None:
     source = open_source("lab/lift", robomimic, embodiment=ROBOT)
     assert source.dropped["elsewhere"] == "a link, which is not followed"
     assert len(source.read(0)) == 6
+
+
+def test_hidden_files_beside_data_say_nothing_of_starts_and_bounds(tmp_path: Path) -> None:
+    root = write(tmp_path / "pick", 5, 6)
+    starts, bounds = find_starts(root), bounds_of("action", 3, None, root)
+    (root / "data/chunk-000/._file-000.parquet").write_bytes(JUNK)
+    assert find_starts(root) == starts and bounds_of("action", 3, None, root) == bounds
+    assert starts and bounds is not None

@@ -4,49 +4,10 @@ import importlib
 import importlib.util
 import os
 import sys
+from functools import partial
 from pathlib import Path
 
 from cei_converters import signals
-
-
-def convert() -> int:
-    """`cei-convert`."""
-    return run("convert")
-
-
-def record() -> int:
-    """`cei-record`."""
-    return run("record")
-
-
-def replay() -> int:
-    """`cei-replay`."""
-    return run("replay")
-
-
-def inspect() -> int:
-    """`cei-inspect`."""
-    return run("inspection.command")
-
-
-def pads() -> int:
-    """`cei-pads`."""
-    return run("pads")
-
-
-def view() -> int:
-    """`cei-view`."""
-    return run("view.command")
-
-
-def restore() -> int:
-    """`cei-restore`."""
-    return run("restore")
-
-
-def benchmark() -> int:
-    """`cei-benchmark`."""
-    return run("benchmark.command")
 
 
 def run(module: str) -> int:
@@ -70,6 +31,15 @@ def _know_glfw() -> None:
         for library in sorted(Path(folder).rglob("libglfw*.*"), reverse=True):  # x11 rather than wayland
             os.environ.setdefault("PYGLFW_LIBRARY", str(library))
 
+
+record = partial(run, "record")
+convert = partial(run, "convert")
+inspect = partial(run, "inspection.command")
+replay = partial(run, "replay")
+restore = partial(run, "restore")
+pads = partial(run, "pads")
+view = partial(run, "view.command")
+benchmark = partial(run, "benchmark.command")
 
 if __name__ == "__main__":  # of a module that has no entry point of its own: python -m cei_converters.start demo
     sys.exit(run(sys.argv.pop(1)))

@@ -42,7 +42,7 @@ def bounds_of(key: str, channels: int, stats: Mapping[str, Any] | None, root: Pa
         found = (
             []
             if root is None
-            else [ends for path in sorted(root.glob("data/*/*.parquet")) for ends in _ends(path, key)]
+            else [ends for path in sorted(root.glob("data/*/[!.]*.parquet")) for ends in _ends(path, key)]
         )
         if not found:
             return None

@@ -4,8 +4,6 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Self
 
-import numpy as np
-
 from cei_converters.cli.options import parse_episodes, parse_pose
 from cei_converters.conversion.agreement import check_clouds
 from cei_converters.conversion.augment import Augmentation
@@ -23,6 +21,7 @@ from cei_converters.dataset.metadata import START, Environment, plain
 from cei_converters.dataset.writer import Header
 from cei_converters.sources import calibration
 from cei_converters.sources.formats import open_source
+from cei_converters.sources.recording import spread
 from cei_converters.sources.source import Source
 from cei_gym.alignment import assess
 from cei_gym.augmentation import Offset
@@ -96,9 +95,8 @@ class Converter:
         Raises:
             CEIError: an episode cannot be read, or clouds do not show the source where its joints say.
         """
-        spread = sorted({round(i) for i in np.linspace(0, len(self.selected) - 1, FIT_EPISODES)})
         with one_thread():
-            read = [self._read(i, colours=False) for i in spread]
+            read = [self._read(i, colours=False) for i in spread(len(self.selected), FIT_EPISODES)]
             if self._config.check_clouds and (told := check_clouds(self.transfer.source, [each[0] for each in read])):
                 print(told)
             self.transfer.fit([demonstration for demonstration, _, inside in read if inside] or [read[0][0]])

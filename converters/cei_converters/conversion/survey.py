@@ -1,9 +1,10 @@
 """All that can be said against episodes, and what can be learnt of their scene, before any work: their joints are read once."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from cei_converters.sources.recording import spread
 from cei_converters.sources.source import Source
 from cei_gym.alignment import link_shapes
 from cei_gym.demonstration import Demonstration
@@ -35,7 +36,9 @@ def survey(source: Source, episodes: Iterable[int], done: Callable[[int], None] 
         CEIError: one cannot be read, or is not what it is said to be.
     """
     lowest = None if source.table_from else _Lowest(source)
-    wanted = sorted(set(episodes)) if source.quick else _spread(sorted(set(episodes)), FEW_EPISODES)
+    wanted = sorted(set(episodes))
+    if not source.quick:
+        wanted = [wanted[i] for i in spread(len(wanted), FEW_EPISODES)]
     for index in wanted:
         demonstration = source.read(index, clouds=False)
         if source.carried:
@@ -46,17 +49,12 @@ def survey(source: Source, episodes: Iterable[int], done: Callable[[int], None] 
     if lowest is None:
         return None
     most = TABLE_EPISODES if source.quick else FEW_EPISODES
-    for index in sorted(set(_spread(range(len(source)), most)) - set(wanted)):
+    for index in sorted(set(spread(len(source), most)) - set(wanted)):
         try:
             lowest.add(source.read(index, clouds=False))
         except CEIError:  # of an episode that nobody wants
             continue
     return lowest.z_m
-
-
-def _spread(episodes: Sequence[int], most: int) -> list[int]:
-    """At most so many of them, far apart."""
-    return sorted({episodes[round(i)] for i in np.linspace(0, len(episodes) - 1, most)})
 
 
 class _Lowest:

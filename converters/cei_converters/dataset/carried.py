@@ -1,6 +1,5 @@
 """What a dataset has of each frame that does not depend on the robot: rewards, ends, language. It is carried over as it is."""
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -148,7 +147,7 @@ def _why_not(key: str, feature: Mapping[str, Any]) -> str:
             return f"stored as {dtype} of shape {tuple(shape)}, which cannot be written"
         if first in _OBSERVED:
             return OF_THE_ROBOT
-        words = {word for name in (key, *schema.feature_names(feature)) for word in _words(name)}
+        words = {word for name in (key, *schema.feature_names(feature)) for word in schema.words(name)}
         if first != _SAID and (named := words & _ROBOT_WORDS):
             return f"{OF_THE_ROBOT}, as {sorted(named)[0]!r} in its name says"
     return ""
@@ -173,10 +172,6 @@ def with_objects_moved(carried: Mapping[str, dict]) -> dict[str, str]:
         for key, feature in carried.items()
         if feature["dtype"].startswith("float") and tuple(feature["shape"]) != (1,)
     }
-
-
-def _words(name: str) -> list[str]:
-    return re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower())
 
 
 def read_carried(

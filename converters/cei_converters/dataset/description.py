@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cei_converters.dataset.hidden import hidden
+from cei_converters.dataset.hidden import visible
 from cei_converters.dataset.locate import read_info
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json
@@ -129,7 +129,7 @@ class Description:
 def _read_episodes(root: Path) -> pa.Table:
     """The table of episodes, of all its files in their order, without statistics: those of a million would fill the memory."""
     tables = []
-    for path in sorted(path for path in (root / EPISODES_FOLDER).glob("*/*.parquet") if not hidden(path, root)):
+    for path in visible(root, f"{EPISODES_FOLDER}/*/*.parquet"):
         file = pq.ParquetFile(path)
         tables.append(file.read([name for name in file.schema_arrow.names if not name.startswith(_STATISTICS)]))
     return pa.concat_tables(tables, promote_options="permissive").combine_chunks()

@@ -9,6 +9,11 @@ def hidden(path: Path, root: Path | None = None) -> bool:
     return any(part.startswith(".") for part in parts)
 
 
+def visible(root: Path, pattern: str) -> list[Path]:
+    """Files below a folder that a pattern matches and that are not hidden, in order."""
+    return sorted(path for path in root.glob(pattern) if not hidden(path, root))
+
+
 def link_visible(folder: Path, to: Path) -> None:
     """Make a folder with links to all files of another, however deep, but for those that are hidden or in a hidden folder."""
     to.mkdir(parents=True)

@@ -9,7 +9,7 @@ from cei_converters.dataset import schema
 from cei_converters.dataset.carried import whole_number
 from cei_converters.dataset.description import EPISODES_FOLDER, TASKS_PATH, Description
 from cei_converters.dataset.essentials import difference, find_essentials
-from cei_converters.dataset.hidden import hidden
+from cei_converters.dataset.hidden import visible
 from cei_converters.dataset.info import check_episodes, check_info
 from cei_converters.dataset.locate import INFO_PATH, read_info
 from cei_converters.dataset.metadata import METADATA_PATH, REQUIRED, Metadata, restore_with
@@ -103,10 +103,10 @@ def describe(root: Path) -> Description:
     for path in (EPISODES_FOLDER, TASKS_PATH, "data"):
         if not (root / path).exists():
             raise CEIError(f"{root} is no complete v3.0 dataset: {path} is missing.")
-    if all(hidden(path, root) for path in (root / EPISODES_FOLDER).glob("*/*.parquet")):
+    if not visible(root, f"{EPISODES_FOLDER}/*/*.parquet"):
         raise CEIError(f"{root} is no complete v3.0 dataset: {EPISODES_FOLDER} has no Parquet file.")
     check_info(read_info(root), str(root / INFO_PATH))
-    for path in sorted(path for path in (root / "meta").rglob("*.parquet") if not hidden(path, root)):
+    for path in visible(root, "meta/**/*.parquet"):
         try:
             pq.read_metadata(path)
         except (OSError, ValueError) as error:

@@ -1,6 +1,7 @@
 """Names, shapes and units of the features of our LeRobot v3.0 datasets."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -100,6 +101,11 @@ def feature_names(feature: Mapping[str, object]) -> list[str]:
     if len(set(plain)) < len(plain):
         plain = [f"{group}.{name}" if group and name else name for group, name in names]
     return [name or str(place) for place, name in enumerate(plain)]
+
+
+def words(name: str) -> list[str]:
+    """A name in lower case, cut where its kind of letters changes."""
+    return re.findall(r"[a-z]+|[0-9]+", re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", name).lower())
 
 
 _DEEPEST = 8

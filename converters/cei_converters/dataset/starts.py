@@ -9,6 +9,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from cei_converters.dataset import schema
+from cei_converters.dataset.hidden import visible
 from cei_converters.dataset.metadata import restore_with
 from cei_gym.errors import CEIError, one_line
 
@@ -45,7 +46,7 @@ def _first_states(root: Path) -> np.ndarray:
     """(episodes, n) joint positions of each episode's first frame, as they are stored."""
     found = []
     try:
-        for path in sorted((root / "data").glob("*/*.parquet")):
+        for path in visible(root, "data/*/*.parquet"):
             with pq.ParquetFile(path) as file:
                 for batch in file.iter_batches(columns=[schema.STATE, _FRAME]):
                     first = pa.Table.from_batches([batch]).filter(pc.field(_FRAME) == 0)

@@ -1,12 +1,12 @@
 """Figures of a dataset's columns, and what their numbers may be."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from cei_converters.dataset import schema
 from cei_converters.sources.recording import Recordings
 
 DEGREES, TICKS, RADIANS, HUNDRED, PERCENT = "deg", "ticks", "rad", "deg or -100..100", "0..100"
@@ -65,13 +65,7 @@ def finite(recordings: Recordings, i: int) -> np.ndarray:
 
 def is_grip(name: str) -> bool:
     """Whether a column's name says that it is a gripper's."""
-    return bool(_GRIPS & set(words(name)))
-
-
-def words(name: str) -> list[str]:
-    """A name in lower case, cut where its kind of letters changes."""
-    apart = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", name)
-    return re.findall(r"[a-z]+|[0-9]+", apart.lower())
+    return bool(_GRIPS & set(schema.words(name)))
 
 
 def _column(recordings: Recordings, i: int, unit: str) -> Column:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from cei_converters.inspection.columns import DEGREES, HUNDRED, PERCENT, TICKS, Column, words
+from cei_converters.dataset.schema import words
+from cei_converters.inspection.columns import DEGREES, HUNDRED, PERCENT, TICKS, Column
 from cei_converters.sources.binding import ARM, END_EFFECTOR, bind, independent_joints, n_arm
 from cei_converters.sources.joint_map import JointMap
 from cei_gym.embodiment import Embodiment
