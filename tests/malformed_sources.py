@@ -332,7 +332,12 @@ def _zarr() -> Iterator[Case]:
         described(state, filters=[{"id": "shuffle", "elementsize": 8}, {"id": "pickle"}]),
         "'pickle'",
     )
-    yield case("an unknown codec", described(state, compressor={"id": "magic"}), "state")
+    yield case(
+        "an unknown codec", described(state, compressor={"id": "magic"}), "'magic', which is no codec of numbers"
+    )
+    yield case(
+        "a codec without a name", described(state, compressor={"level": 3}), "'None', which is no codec of numbers"
+    )
     yield case(
         "chunks that are no blosc",
         described(state, compressor={"id": "blosc", "cname": "lz4", "clevel": 5, "shuffle": 1}),

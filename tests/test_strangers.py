@@ -312,3 +312,28 @@ def test_hidden_files_beside_data_say_nothing_of_starts_and_bounds(tmp_path: Pat
     (root / "data/chunk-000/._file-000.parquet").write_bytes(JUNK)
     assert find_starts(root) == starts and bounds_of("action", 3, None, root) == bounds
     assert starts and bounds is not None
+
+
+def test_zarr_of_the_third_format_is_read_by_codecs_of_numbers_alone(tmp_path: Path) -> None:
+    root, state = tmp_path / "demo.zarr", np.tile(BODY.home, (8, 1))
+    group = zarr.open_group(root, mode="w", zarr_format=3)
+    group.create_array("data/state", data=state, chunks=(2, 9), shards=(4, 9))
+    group.create_array("meta/episode_ends", data=np.array([5, 8]))
+    (tmp_path / "map.yaml").write_text(
+        yaml.safe_dump(
+            {
+                "embodiment": ROBOT,
+                "fps": 20,
+                "joints": [{"joints": list(BODY.joint_names), "columns": {"start": 0, "end": 9}}],
+            }
+        )
+    )
+    source = open_source("lab/demo", root, joint_map=tmp_path / "map.yaml")
+    assert [len(demonstration) for demonstration in source] == [5, 3]
+    np.testing.assert_array_equal(source.read(1).qpos, state[5:])
+    described = json.loads((root / "data/state/zarr.json").read_text())
+    (sharding,) = described["codecs"]
+    sharding["configuration"]["codecs"].insert(0, {"name": "numcodecs.pickle", "configuration": {}})
+    (root / "data/state/zarr.json").write_text(json.dumps(described))
+    with pytest.raises(CEIError, match="stored by 'pickle', which is no codec of numbers"):
+        open_source("lab/demo", root, joint_map=tmp_path / "map.yaml")

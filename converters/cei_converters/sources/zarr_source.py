@@ -1,6 +1,8 @@
 """Read demonstrations of 3D Diffusion Policy and DemoGen: one zarr group, episodes end to end."""
 
 import math
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,33 @@ _STATE, _ACTION, _CLOUD, _ENDS = "data/state", "data/action", "data/point_cloud"
 _MOST_BYTES = 2**32
 """Of an episode's rows, and of a chunk: a few bytes of JSON may say that there are petabytes."""
 
-_OF_OBJECTS = frozenset(("pickle", "msgpack2", "json2", "categorize", "vlen-array", "vlen-bytes", "vlen-utf8"))
+_OF_NUMBERS = frozenset(
+    [
+        "adler32",
+        "astype",
+        "bitround",
+        "blosc",
+        "bytes",
+        "bz2",
+        "crc32",
+        "crc32c",
+        "delta",
+        "fixedscaleoffset",
+        "fletcher32",
+        "gzip",
+        "jenkins_lookup3",
+        "lz4",
+        "lzma",
+        "packbits",
+        "quantize",
+        "sharding_indexed",
+        "shuffle",
+        "transpose",
+        "zlib",
+        "zstd",
+    ]
+)
+"""Codecs that are let read a stranger's array; of the others some run what they read."""
 
 
 class ZarrSource(Source):
@@ -179,23 +207,34 @@ def _check_described(path: Path) -> None:
     """Check what an array says of itself before zarr takes its word: a codec may be one that runs what it reads.
 
     Raises:
-        CEIError: it has such a codec, or is no JSON.
+        CEIError: it has another codec than those of numbers, or is no JSON.
     """
     file = path / ".zarray" if (path / ".zarray").is_file() else path / "zarr.json"
     try:
         described = load_json(file.read_text())
     except (OSError, ValueError) as error:
         raise CEIError(f"{file} cannot be read ({one_line(error)}).") from error
-    if bad := sorted(_named(described) & _OF_OBJECTS):
-        raise CEIError(f"{path} is stored by {bad[0]!r}, which is for objects and may run code; it should be numbers.")
+    if bad := sorted(set(_codecs(described)) - _OF_NUMBERS):
+        raise CEIError(
+            f"{path} is stored by {one_line(bad[0], 60)!r}, which is no codec of numbers and may run code; write it by one of "
+            f"{', '.join(sorted(_OF_NUMBERS))}."
+        )
 
 
-def _named(value: object) -> set[str]:
-    """Names of codecs, wherever they are."""
-    if isinstance(value, dict):
-        own = {str(value[key]).rpartition(".")[2] for key in ("id", "name") if key in value}
-        return own.union(*map(_named, value.values()))
-    return set().union(*map(_named, value)) if isinstance(value, list) else set()
+def _codecs(described: object) -> Iterator[str]:
+    """Names of an array's codecs, in zarr's second format or its third, those within others too."""
+    if not isinstance(described, dict):
+        return
+    lists = [found for key in _CODECS if isinstance(found := described.get(key), list)]
+    for codec in [described.get("compressor"), *chain.from_iterable(lists)]:
+        if isinstance(codec, dict):
+            yield str(codec.get("id", codec.get("name"))).removeprefix("numcodecs.")
+            yield from _codecs(codec.get("configuration"))
+        elif codec is not None:
+            yield str(codec)
+
+
+_CODECS = ("filters", "codecs", "index_codecs")
 
 
 def _rows(array: Any, first: int, last: int, where: str) -> np.ndarray:
