@@ -25,7 +25,7 @@ demo: setup ## Move a skill between two robots and show it: outputs/demo/report.
 	@$(PYTHON_ENV) -m cei_converters.start demo $(DEMO_ARGS)
 
 test: setup ## Run the tests (PYTEST_ARGS="-k word" picks some)
-	@OMP_NUM_THREADS=1 $(PYTHON_ENV) -m pytest -n 2 --dist worksteal $(PYTEST_ARGS) tests
+	@OMP_NUM_THREADS=1 $(PYTHON_ENV) -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS) tests
 
 documents: setup ## Run every command and piece of code of the documents, made small (DOCUMENTS=docs/policies.md picks some)
 	@$(PYTHON_ENV) -P tests/smoke/documents.py . $(DOCUMENTS)

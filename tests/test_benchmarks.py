@@ -39,9 +39,9 @@ def test_alignment(tmp_path: Path) -> None:
 
 def test_impersonation(tmp_path: Path) -> None:
     """A real cube, in physics: the Panda's expert knows nothing of the hand that lifts it."""
-    printed = run("impersonation.py", tmp_path, "--seed=20", "--episodes=3")
-    result = json.loads((tmp_path / "results/PickCube-UR5e-FourierRight.json").read_text())
-    assert result["successes"] >= 2  # of 20, 19 do: on another CPU another one may drop
+    printed = run("impersonation.py", tmp_path, "--target=IIWA-FourierRight", "--seed=20", "--episodes=3")
+    result = json.loads((tmp_path / "results/PickCube-IIWA-FourierRight.json").read_text())
+    assert result["successes"] >= 2  # nine of ten do
     assert printed.startswith(f"{result['successes']} of 3 succeed")
     assert 0 < result["wrapper_ms"]["50"] <= result["wrapper_ms"]["99"]
 

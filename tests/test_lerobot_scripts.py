@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import warm
 from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
 from lerobot.policies.factory import make_policy, make_policy_config
 from lerobot.utils.feature_utils import dataset_to_policy_features
@@ -18,17 +19,16 @@ from cei_converters import convert, record
 DP3 = ("--policy.type=dp3", "--policy.down_dims=[16,32]", "--policy.points=64", "--policy.scheduler_warmup_steps=2")
 
 
-def run(script: str, *options: str, cwd: Path) -> str:
-    done = subprocess.run(
-        [Path(sys.executable).with_name(script), *options],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        env=dict(os.environ) | {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"},
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-3000:]
-    return done.stdout + done.stderr
+def run(script: str, *options: str, cwd: Path) -> None:
+    done = warm.script(script, *options, cwd=cwd)
+    assert done.returncode == 0, done.stdout[-3000:]
+
+
+def shell(script: str, *options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """As a user starts it."""
+    env = dict(os.environ) | {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"}
+    command = [Path(sys.executable).with_name(script), *options]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env=env, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,8 @@ def test_dp3_trains_resumes_exactly_and_is_evaluated(folder: Path) -> None:
     half.unlink()
     half.symlink_to("000002")
     config = "--config_path=whole/checkpoints/last/pretrained_model/train_config.json"
-    run("lerobot-train", config, "--resume=true", cwd=folder)
+    done = shell("lerobot-train", config, "--resume=true", cwd=folder)
+    assert done.returncode == 0, done.stderr[-3000:]
     resumed = weights(folder, "whole")
     assert {"average.n_averaged", "average.module.unet.final_conv.1.bias"} <= set(whole)
     assert int(resumed["average.n_averaged"]) == 4
@@ -108,12 +109,6 @@ def test_lerobots_own_policies_train_on_states_where_they_are_told_them(folder: 
 
 def test_an_unknown_task_of_an_environment_is_one_clear_line(folder: Path) -> None:
     options = ("--env.type=cei", "--env.task=PickCube-UR5e-FourierRigth", "--policy.type=dp3")
-    done = subprocess.run(
-        [Path(sys.executable).with_name("lerobot-eval"), *options],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = shell("lerobot-eval", *options, cwd=folder)
     assert done.returncode != 0
     assert "PickCube-UR5e-FourierRight" in done.stderr

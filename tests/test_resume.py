@@ -22,8 +22,8 @@ import pytest
 from cei_converters import convert
 from cei_converters.dataset.provenance import fingerprint
 
-KILLS = 16
-"""Two of each stage."""
+KILLS = 8
+"""One of each stage."""
 
 
 @pytest.fixture(scope="module")

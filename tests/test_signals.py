@@ -22,7 +22,7 @@ from cei_converters.dataset.place import temporary_folder
 ROOT = Path(__file__).parents[1]
 SCRIPTS: dict[str, str] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
 SAID = {signal.SIGINT: (130, "interrupted\n"), signal.SIGTERM: (143, "terminated\n"), signal.SIGHUP: (129, "hung up\n")}
-MOMENTS_S = ((0.0, 0.0), (0.0, 0.5), (0.5, 1.5), (1.5, 3.0))
+MOMENTS_S = ((0.0, 0.0), (0.0, 1.0), (1.0, 3.0))
 """Of each command: between which times after it heeds signals one comes."""
 RESTORED = {"README.md", "meta/cei.json", "meta/cei_episodes.jsonl"}
 """What `cei-restore` adds; a signal that comes while it moves them waits until they are all there."""
@@ -63,7 +63,7 @@ def options(name: str, source: Path) -> list[str]:
         "cei-convert": [arg for arg in killed.arguments(source, Path("a/x"), "--workers=4") if "--init" not in arg],
         "cei-inspect": [*dataset, f"--source={killed.ROBOT}", "--save_map=m.yaml", "--json=r.json"],
         "cei-replay": [*dataset, "--env=CEI-PickCube-Panda-PandaGripper", "--json=r.json"],
-        "cei-pads": ["--end_effector=Inspire", "--output=a/p.png", "--points=100000"],
+        "cei-pads": ["--end_effector=Inspire", "--output=a/p.png", "--points=20000"],
         "cei-view": [*dataset, "--rrd=a/v.rrd", "--sheet=v.png"],
         "cei-restore": ["--dataset.repo_id=me/x", "--dataset.root=../edited", f"--original={source}", "--json=r.json"],
         "cei-benchmark": [
