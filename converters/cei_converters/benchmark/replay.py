@@ -30,7 +30,7 @@ class ReplayBenchmarkConfig:
     """Replay success of transferred demonstrations, beside the paper's; finished cells are skipped, so it resumes."""
 
     episodes: int = 20  # Demonstrations a task.
-    seed: int = 1000  # Of the first one; development uses 0 to 999.
+    seed: int = 2000  # Of the first one; development uses 0 to 1999.
     tables: str | None = None  # Such as main,ablation; default: these and sensitivity.
     tasks: str | None = None  # Such as PickCube,StackCube; default: all.
     targets: str | None = None  # Such as IIWA-Inspire,UR5e-FourierRight; default: all.
