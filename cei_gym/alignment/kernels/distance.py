@@ -7,11 +7,12 @@ from cei_gym.alignment.kernels.target import empty_pose, empty_source, load_sour
 from cei_gym.kinematics.tree import rotate
 
 # Without NaN or infinity in sight, loops become wide instructions.
-_WIDE = {"contract", "arcp", "nsz", "reassoc", "nnan", "ninf", "afn"}
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
+_FINITE = {"nnan", "ninf"}
+"""What the compiler may assume. Nothing that changes a result: sums in an order of its own, or fused, would be others in another
+process, as LLVM inlines differently what it compiles and what it finds in the cache, and on another CPU."""
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def evaluate(target, source, lambda_m, u, pose):
     """DCD at u, metres; fills `pose`."""
     place_joints(target, u, pose)
@@ -20,7 +21,7 @@ def evaluate(target, source, lambda_m, u, pose):
     return _distance(source.pairs, pose, lambda_m)
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def place_joints(target, u, pose):
     joints = target.joints
     local = np.empty((3, 3))
@@ -50,7 +51,7 @@ def place_joints(target, u, pose):
                 pose.pos[k, i] += pose.axis[k, i] * value
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def _place_pads(target, origin, pose):
     rot, pos, pads, pad_joint, pairs, pairs32 = (
         pose.rot,
@@ -74,7 +75,7 @@ def _place_pads(target, origin, pose):
     pose.radius[0] = radius(pairs)
 
 
-@njit(cache=True, nogil=True, fastmath=_WIDE)
+@njit(cache=True, nogil=True, fastmath=_FINITE)
 def match(source, pose, lambda_m):
     """Nearest pair in both directions, in single precision: fills `pose.match` and `pose.match_back`.
 
@@ -119,7 +120,7 @@ def match(source, pose, lambda_m):
         found_back[j] = back[j] & mask
 
 
-@njit(cache=True, nogil=True, fastmath=_WIDE)
+@njit(cache=True, nogil=True, fastmath=_FINITE)
 def match_one(a, b, c, na, nb, nc, least, scale, bits, i, x, y, z, nx, ny, nz, back):
     """Key of the target pair nearest to source pair i; lowers the keys in `back` of those that i is nearest to."""
     nearest = np.int32(2147483647)
@@ -132,7 +133,7 @@ def match_one(a, b, c, na, nb, nc, least, scale, bits, i, x, y, z, nx, ny, nz, b
     return nearest
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def _distance(source, pose, lambda_m):
     pairs, match, match_back = pose.pairs, pose.match, pose.match_back
     forth, back = 0.0, 0.0
@@ -143,7 +144,7 @@ def _distance(source, pose, lambda_m):
     return forth / len(match) + back / len(match_back)
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def _cost(source, i, target, j, lambda_m):
     dx, dy, dz = target[0, j] - source[0, i], target[1, j] - source[1, i], target[2, j] - source[2, i]
     cosine = source[3, i] * target[3, j] + source[4, i] * target[4, j] + source[5, i] * target[5, j]

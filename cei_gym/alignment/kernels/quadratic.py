@@ -12,7 +12,6 @@ import numpy as np
 from numba import njit
 
 _SMOOTHING_M = 1e-3
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 class Quadratic(NamedTuple):
@@ -45,7 +44,7 @@ def empty_quadratic(target):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def add_distance(target, source, lambda_m, pose, out):
     """Start `out` with the DCD's own forces and blocks."""
     out.pull[:] = 0.0
@@ -60,7 +59,7 @@ def add_distance(target, source, lambda_m, pose, out):
 # Loops take arrays, not tuples of them: reaching into a tuple inside a loop costs more than the arithmetic.
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def _add_pulls(source, target, of_source, of_target, lambda_m, count, pull):
     weight = 1.0 / count
     turn = weight * lambda_m
@@ -78,7 +77,7 @@ def _add_pulls(source, target, of_source, of_target, lambda_m, count, pull):
         pull[j, 7] += turn * source[5, i]
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def _add_pads(pairs, pad_joint, pull, force, block):
     for j in range(len(pad_joint)):
         joint = pad_joint[j]
@@ -113,7 +112,7 @@ def _add_pads(pairs, pad_joint, pull, force, block):
         block[joint, 4, 5] -= k * y * z + turn * ny * nz
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def add_contact(joint, point, normal, value, weight, out):
     """Add `(weight / 2) value^2`, where `value` falls as `point` (3,), fixed to a joint's frame, moves along `normal`."""
     w = np.empty(6)
@@ -128,7 +127,7 @@ def add_contact(joint, point, normal, value, weight, out):
             out.block[joint, i, l] += weight * w[i] * w[l]
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def project(target, origin, pose, out):
     """Forces and blocks of joints to `out.gradient` and `out.hessian`; uses them up."""
     joints, leader, scale = target.joints, target.leader, target.scale

@@ -6,7 +6,6 @@ import numpy as np
 from numba import njit
 
 _LARGEST_STEP = 0.5  # rad or m a joint and iteration
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 class StepMemory(NamedTuple):
@@ -24,7 +23,7 @@ def empty_step(m):
     return StepMemory(np.empty((m, m)), np.empty(m), np.empty(m, np.int64), np.empty(m), np.empty(m, np.bool_))
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def take_step(hessian, gradient, damping, lower, upper, u, new, memory):
     """Fill `new`; returns how far the quadratic model falls.
 
@@ -54,7 +53,7 @@ def take_step(hessian, gradient, damping, lower, upper, u, new, memory):
     return fall
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def _solve_free(hessian, gradient, damping, memory):
     """Solve for the free joints, the steps of the others held.
 

@@ -99,7 +99,7 @@ def load_source(points, normals, source):
     source.radius[0] = radius(pairs)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath={"nnan", "ninf"})  # see `distance._FINITE`
 def radius(pairs):
     """Largest distance of (6, N) pairs' points from the origin, m."""
     largest = 0.0
