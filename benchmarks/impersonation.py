@@ -1,6 +1,6 @@
 """Impersonation: the Panda's scripted expert, unchanged, drives another robot through `CrossEmbodimentWrapper`.
 
-usage: python benchmarks/impersonation.py [--task PickCube] [--target UR5e-FourierRight] [--seed 1000] [--episodes 20]
+usage: python benchmarks/impersonation.py [--task PickCube] [--target UR5e-FourierRight] [--seed 2000] [--episodes 20]
 
 The transfer is fitted to demonstrations of seeds 0-5. Writes results/impersonation/<task>-<target>.json.
 """
@@ -43,7 +43,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--task", default="PickCube")
     parser.add_argument("--target", default="UR5e-FourierRight")
-    parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=2000)
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--results", type=Path, default=Path("results/impersonation"))
     args = parser.parse_args()
