@@ -179,4 +179,4 @@ def test_compiled_sums_have_one_order() -> None:
         compiled |= {f"{info.name}.{name}": each for name, each in vars(module).items() if isinstance(each, Dispatcher)}
     assert len(compiled) > 40
     for name, each in compiled.items():
-        assert set(each.targetoptions.get("fastmath") or ()) <= {"nnan", "ninf"}, name
+        assert each.targetoptions.get("fastmath", False) in (False, {"nnan", "ninf"}), name

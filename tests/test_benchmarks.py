@@ -41,7 +41,7 @@ def test_impersonation(tmp_path: Path) -> None:
     """A real cube, in physics: the Panda's expert knows nothing of the hand that lifts it."""
     printed = run("impersonation.py", tmp_path, "--target=IIWA-FourierRight", "--seed=20", "--episodes=3")
     result = json.loads((tmp_path / "results/PickCube-IIWA-FourierRight.json").read_text())
-    assert result["successes"] >= 2  # nine of ten do
+    assert result["successes"] >= 2  # all do here; what is left to chance is another CPU's BLAS
     assert printed.startswith(f"{result['successes']} of 3 succeed")
     assert 0 < result["wrapper_ms"]["50"] <= result["wrapper_ms"]["99"]
 

@@ -9,13 +9,15 @@ import pytest
 from PIL import Image
 
 from cei_converters.benchmark import command, paper
-from cei_converters.benchmark.policy_stages import PolicyCell, Stages, Training, Trials
+from cei_converters.benchmark.policy_stages import VARIANTS, PolicyCell, Stages, Training, Trials
 from cei_converters.sources.reader import DatasetReader
 
 PAPER = Path(__file__).parents[2] / "shared/paper/policy_success.csv"
 CELL = "PickCube-UR5e-FourierRight"
 FINISHED = ("no_inference_augmentation", "cei", "mean_action", "one_demonstration")
 """Variants that are run to the end: two of one training, and those that look at nothing."""
+PREPARED = ("no_augmentation",)
+"""Variants whose dataset is made, and no more: it is trained and evaluated as the first of the others are."""
 SMOKE = ["policy", "--tasks=PickCube", "--targets=UR5e-FourierRight", "--demonstrations=2", "--episodes=1", "--seed=3"]
 SMALL = ["--episode_length=6", "--training.steps=2", "--training.batch_size=4", "--training.points=32"]
 
@@ -24,7 +26,7 @@ SMALL = ["--episode_length=6", "--training.steps=2", "--training.batch_size=4", 
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("benchmark")
     places = [f"--results={folder / 'results'}", f"--work={folder / 'work'}"]
-    for variant in ("no_augmentation", "cei"):  # nothing is trained yet
+    for variant in (*PREPARED, "cei"):  # nothing is trained yet
         assert command.main([*SMOKE, *SMALL, *places, "--stage=evaluate", f"--variants={variant}"]) != 0
     assert command.main([*SMOKE, *SMALL, *places, "--stage=train", "--variants=cei"]) == 0
     assert not list((folder / "results").glob("*.json"))
@@ -33,6 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_variants_become_cells_that_share_a_training(folder: Path) -> None:
+    assert {*FINISHED, *PREPARED} == {*VARIANTS}
     for variant in FINISHED:
         name = f"{CELL}-{variant}" + ("" if variant in ("mean_action", "one_demonstration") else "-0")
         result = json.loads((folder / "results" / f"{name}.json").read_text())

@@ -1,7 +1,7 @@
 """LeRobot's scripts in processes that start ready: what `lerobot-train` imports takes it ten seconds each time.
 
-`script` runs one in a fork of a process that has imported all of them and done nothing else; as from a shell, it has its own arguments,
-folder, environment and output, and ends with its exit code. That the scripts can be started from a shell is tested where that matters.
+`script` runs one in a fork of a process that has imported all of them, with the plugins that they find, and done nothing else; as from a
+shell, it has its own arguments, folder and output, and ends with its exit code. `test_lerobot_scripts` starts some from a shell, too.
 """
 
 import atexit
@@ -20,12 +20,12 @@ SCRIPTS = {
 """Name to module, whose `main` it calls."""
 
 
-def script(name: str, *options: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def script(name: str, *options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """What became of a script: its exit code, and all that it printed."""
     server = _server()
     assert server.stdin is not None and server.stdout is not None
     with tempfile.NamedTemporaryFile("w+") as printed:
-        job = {"name": name, "options": options, "cwd": str(cwd), "environment": environment, "output": printed.name}
+        job = {"name": name, "options": options, "cwd": str(cwd), "output": printed.name}
         server.stdin.write(json.dumps(job) + "\n")
         server.stdin.flush()
         code = int(server.stdout.readline())
@@ -50,14 +50,14 @@ def _child(job: dict) -> None:
     output = os.open(job["output"], os.O_WRONLY | os.O_APPEND)
     os.dup2(output, 1)
     os.dup2(output, 2)
-    os.environ.update(job["environment"])
     os.chdir(job["cwd"])
     sys.argv = [job["name"], *job["options"]]
     importlib.import_module(SCRIPTS[job["name"]]).main()
 
 
 def _serve() -> None:
-    answers, sys.stdin = os.fdopen(os.dup(1), "w"), sys.stdin
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # whatever an import prints is no answer
     from lerobot.utils.import_utils import register_third_party_plugins
 
     for module in SCRIPTS.values():

@@ -3,13 +3,8 @@
 import numpy as np
 from numba import njit
 
-from cei_gym.alignment.kernels.target import empty_pose, empty_source, load_source, radius
+from cei_gym.alignment.kernels.target import FINITE, empty_pose, empty_source, load_source, radius
 from cei_gym.kinematics.tree import rotate
-
-# Without NaN or infinity in sight, loops become wide instructions.
-_FINITE = {"nnan", "ninf"}
-"""What the compiler may assume. Nothing that changes a result: sums in an order of its own, or fused, would be others in another
-process, as LLVM inlines differently what it compiles and what it finds in the cache, and on another CPU."""
 
 
 @njit(cache=True, nogil=True)
@@ -75,7 +70,7 @@ def _place_pads(target, origin, pose):
     pose.radius[0] = radius(pairs)
 
 
-@njit(cache=True, nogil=True, fastmath=_FINITE)
+@njit(cache=True, nogil=True, fastmath=FINITE)
 def match(source, pose, lambda_m):
     """Nearest pair in both directions, in single precision: fills `pose.match` and `pose.match_back`.
 
@@ -120,7 +115,7 @@ def match(source, pose, lambda_m):
         found_back[j] = back[j] & mask
 
 
-@njit(cache=True, nogil=True, fastmath=_FINITE)
+@njit(cache=True, nogil=True, fastmath=FINITE)
 def match_one(a, b, c, na, nb, nc, least, scale, bits, i, x, y, z, nx, ny, nz, back):
     """Key of the target pair nearest to source pair i; lowers the keys in `back` of those that i is nearest to."""
     nearest = np.int32(2147483647)

@@ -10,6 +10,10 @@ from cei_gym.functional.representation import FunctionalRepresentation
 from cei_gym.kinematics.joints import JointTree, reduce_to_joints
 from cei_gym.kinematics.tree import KinematicTree
 
+FINITE = {"nnan", "ninf"}
+"""What the compiler may assume of numbers (`fastmath`), so that loops become wide instructions. It may not put sums in an order of its own,
+or fuse them: they would be others in another process, as LLVM inlines what it compiles otherwise than what it finds in the cache."""
+
 
 class Target(NamedTuple):
     """Joints, coupling `q = scale * u[leader] + offset` and pads of the target.
@@ -99,7 +103,7 @@ def load_source(points, normals, source):
     source.radius[0] = radius(pairs)
 
 
-@njit(cache=True, nogil=True, fastmath={"nnan", "ninf"})  # see `distance._FINITE`
+@njit(cache=True, nogil=True, fastmath=FINITE)
 def radius(pairs):
     """Largest distance of (6, N) pairs' points from the origin, m."""
     largest = 0.0
