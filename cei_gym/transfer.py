@@ -51,7 +51,10 @@ _FINALISTS = 8
 _TOLERATED_M = 0.005  # of penetration, and of contact points that miss the source's
 _ABOVE_SUPPORT_M = 0.005
 _NEAR_HAND_M = 0.2  # what is farther from the source's pads is no obstacle
-_COMPANY_M = 0.02  # within which a point of an object has a few others; what has fewer is noise
+_COMPANY_M, _COMPANY = (
+    0.02,
+    5,
+)  # a point of an object has so many others so near; with three, of 30 % outliers some 20 a frame pass
 _CARRIED_M = 0.005
 _OTHER_SQUEEZES = (0.5, 1.5)
 _AT_REST = 0.02  # rad/s or m/s: a finger slower than this has stopped
@@ -429,7 +432,7 @@ class Transfer:
         T_base_world = np.linalg.inv(self._base(demonstration))
         floor = demonstration.scene.support_z_m + _ABOVE_SUPPORT_M
         above = [s[s[:, 2] > floor, :3] for s in scenes]
-        above = [s[~isolated(s, _COMPANY_M)] for s in above]
+        above = [s[~isolated(s, _COMPANY_M, _COMPANY)] for s in above]
         objects = [s @ T_base_world[:3, :3].T + T_base_world[:3, 3] for s in above]
         moved = np.zeros(len(scenes), bool) if grip is None else grip.carried_m > _CARRIED_M
         return remember(objects, hand_base, moved, _NEAR_HAND_M)

@@ -18,7 +18,7 @@ from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, RobotMask, crop, fuse_depth
 from cei_gym.pointcloud.isolated import isolated
 from cei_gym.rendering import DepthCamera
-from cei_gym.transfer import Transfer
+from cei_gym.transfer import Attempt, Transfer
 from cei_gym.wrapper import CrossEmbodimentWrapper
 
 SOURCE, TARGET = "Panda-PandaGripper", "UR5e-FourierRight"
@@ -186,21 +186,21 @@ def test_a_noisy_demonstration_transfers_and_succeeds_in_physics(job: Path) -> N
     assert replay.replay(config)["successes"] == 1
 
 
-@pytest.mark.parametrize(("damage", "most_mm"), [(outliers, 15.0), (holes, 10.0)])
+@pytest.mark.parametrize("damage", [outliers, holes])
+@pytest.mark.parametrize("start", range(3))
 def test_a_transfer_is_as_close_to_the_source_whatever_the_cloud(
-    damage: Damage, most_mm: float, clean: Demonstration, transfer: Transfer
+    start: int, damage: Damage, clean: Demonstration, transfer: Transfer
 ) -> None:
-    """Joints come from joints; what a cloud adds is obstacles, and where contact is."""
-    plain, report = transfer(clean, clouds=False)
-    spoilt, its_report = transfer(damaged(clean, damage), clouds=False)
+    """Joints come from joints; what a cloud adds is obstacles, and where contact is. From whatever start: which is best may be a near tie."""
+    attempt = Attempt(basin=start)
+    plain, report = transfer(clean, clouds=False, attempt=attempt)
+    spoilt, its_report = transfer(damaged(clean, damage), clouds=False, attempt=attempt)
     assert len(spoilt) == len(plain)
-    # The way may lead around obstacles that are not there; what is held is held as before. The mean is bounded by itself: measured from
-    # that with clean clouds it would grow wherever that one gets closer.
     farther_mm = its_report.pad_distance_mm - report.pad_distance_mm
-    assert its_report.pad_distance_mm.mean() < most_mm
     assert report.pad_distance_mm.mean() < 10.0
-    assert np.median(farther_mm) < 2.0
-    assert np.abs(farther_mm[-20:]).max() < 2.0
+    assert farther_mm.mean() < 1.0
+    assert np.median(farther_mm) < 1.0
+    assert np.abs(farther_mm[-20:]).max() < 1.0  # what is held is held as before
 
 
 def test_a_transfer_without_any_depth_is_that_without_a_cloud(clean: Demonstration, transfer: Transfer) -> None:
