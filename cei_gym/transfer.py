@@ -51,10 +51,8 @@ _FINALISTS = 8
 _TOLERATED_M = 0.005  # of penetration, and of contact points that miss the source's
 _ABOVE_SUPPORT_M = 0.005
 _NEAR_HAND_M = 0.2  # what is farther from the source's pads is no obstacle
-_COMPANY_M, _COMPANY = (
-    0.02,
-    5,
-)  # a point of an object has so many others so near; with three, of 30 % outliers some 20 a frame pass
+_COMPANY_M = 0.02  # within which a point of an object has some others; what has fewer is noise
+_COMPANY = 5  # so many; with three, of a cloud of 30 % outliers some 20 points a frame pass
 _CARRIED_M = 0.005
 _OTHER_SQUEEZES = (0.5, 1.5)
 _AT_REST = 0.02  # rad/s or m/s: a finger slower than this has stopped
