@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cei_gym.channels import OnDisplacement, entry_names, present
 from cei_gym.demonstration import Demonstration
 from cei_gym.displacement import Boxes, Displacement, Region, Seen
 from cei_gym.errors import CEIError
@@ -121,12 +122,16 @@ def displace(
     """
     about = handling.place_world
     T_world_objects = displacement(offset, about)
-    state = demonstration.environment_state
-    if state is not None:
-        state = move_state(state, demonstration.environment_state_names, T_world_objects)
+    there = {
+        name: move_state(value, entry_names(demonstration, name), T_world_objects)
+        if declared.on_displacement is OnDisplacement.MOVE
+        else declared.nothing
+        for name, declared, value in present(demonstration)
+        if declared.on_displacement is not OnDisplacement.AS_RECORDED
+    }
     T_world_source = displacement(offset, about, growth(len(demonstration), whole))
     moved = Displacement(T_world_objects, T_world_source, objects)
-    return replace(demonstration, environment_state=state, displacement=moved)
+    return replace(demonstration, **there, displacement=moved)
 
 
 def move_state(state: np.ndarray, names: tuple[str, ...], T_world: np.ndarray) -> np.ndarray:

@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
+from cei_gym.channels import OnDisplacement, OnTransfer, channel, channels, check_channels, present
 from cei_gym.displacement import Displacement
 from cei_gym.errors import CEIError
 
@@ -49,9 +51,13 @@ class Scene:
         return float(self.workspace_world[0, 2]) if self.table_z_m is None else self.table_z_m
 
 
+KEEP, RECOMPUTE = OnTransfer.KEEP, OnTransfer.RECOMPUTE
+AS_RECORDED, MOVE = OnDisplacement.AS_RECORDED, OnDisplacement.MOVE
+
+
 @dataclass(frozen=True)
 class Demonstration:
-    """One episode of T frames.
+    """One episode of T frames: its channels (`cei_gym.channels`), and what holds for all of it.
 
     Attributes:
         embodiment: catalogue name, `<Arm>-<EndEffector>`.
@@ -60,28 +66,43 @@ class Demonstration:
         action: (T, n) absolute joint position targets in the same layout.
         scene: base pose, cameras, workspace.
         task: instruction in words.
+        point_cloud_world: (T, P, 3) float32 cloud in metres, or (T, P, 6) with colours in [0, 1], or None.
         depth_m: camera name to (T, H, W) float32 depth along the optical axis in metres, 0 where unknown.
         rgb: camera name to (T, H, W, 3) uint8 pictures that belong to the depth, pixel for pixel.
-        point_cloud_world: (T, P, 3) float32 cloud in metres, or (T, P, 6) with colours in [0, 1], or None.
         environment_state: (T, k) float64 state of the task's objects, or None.
-        environment_state_names: k names, with units.
+        environment_state_names: k names, with units; none where nobody knows them.
         index: the episode's index in the dataset that it came from.
         figures: how well it could be read, where that is in question, such as `ik_position_mm`.
         source_frames: (T,) which frames of that episode these are, where they are not all of it in turn; else None.
         displacement: how what it shows is moved, if it is; state of the objects is already where it should be, joints, images and
             cloud are as recorded.
+
+    Raises:
+        CEIError: there are no frames, or a channel is not as declared: of another shape or kind, or not finite.
     """
 
     embodiment: str
     fps: float
-    qpos: np.ndarray
-    action: np.ndarray
+    qpos: np.ndarray = field(metadata=channel(("joints",), "rad or m", RECOMPUTE, AS_RECORDED, finite=True))
+    action: np.ndarray = field(metadata=channel(("joints",), "rad or m", RECOMPUTE, AS_RECORDED, finite=True))
     scene: Scene
     task: str = ""
-    depth_m: Mapping[str, np.ndarray] = field(default_factory=dict)
-    rgb: Mapping[str, np.ndarray] = field(default_factory=dict)
-    point_cloud_world: np.ndarray | None = None
-    environment_state: np.ndarray | None = None
+    point_cloud_world: np.ndarray | None = field(
+        default=None, metadata=channel(("points", "columns"), "m", RECOMPUTE, AS_RECORDED, frame="world")
+    )
+    depth_m: Mapping[str, np.ndarray] = field(
+        default_factory=dict,
+        metadata=channel(("height", "width"), "m", RECOMPUTE, AS_RECORDED, frame="camera", by_camera=True),
+    )
+    rgb: Mapping[str, np.ndarray] = field(
+        default_factory=dict,
+        metadata=channel(
+            ("height", "width", 3), "1/255", RECOMPUTE, AS_RECORDED, "uint8", frame="camera", by_camera=True
+        ),
+    )
+    environment_state: np.ndarray | None = field(
+        default=None, metadata=channel(("entries",), "as names say", KEEP, MOVE, frame="world", finite=True)
+    )
     environment_state_names: tuple[str, ...] = ()
     index: int = 0
     figures: Mapping[str, float] = field(default_factory=dict)
@@ -92,18 +113,7 @@ class Demonstration:
         where = f"episode {self.index}"
         if len(self.qpos) == 0:
             raise CEIError(f"{where} has no frames; drop it with --episodes or record it again.")
-        if self.qpos.shape != self.action.shape:
-            raise CEIError(f"{where}: state {self.qpos.shape} and action {self.action.shape} differ in shape.")
-        state = self.environment_state
-        if state is not None and not np.isfinite(state).all():
-            raise CEIError(
-                f"{where}: environment_state is not finite at frame {np.argwhere(~np.isfinite(state))[0][0]}."
-            )
-        for name, values in (("state", self.qpos), ("action", self.action)):
-            bad = np.argwhere(~np.isfinite(values))
-            if len(bad):
-                frame, joint = bad[0]
-                raise CEIError(f"{where}: {name} is not finite at frame {frame}, joint {joint}.")
+        check_channels(self, len(self), where)
 
     def __len__(self) -> int:
         return len(self.qpos)
@@ -112,18 +122,17 @@ class Demonstration:
         """The demonstration with its frames at these indices, in this order."""
         if np.array_equal(frames, np.arange(len(self))):
             return self
-
-        def taken(value: np.ndarray | None) -> np.ndarray | None:
-            return None if value is None else value[frames]
-
+        taken = {name: declared.map(value, lambda array: array[frames]) for name, declared, value in present(self)}
         return replace(
             self,
-            qpos=self.qpos[frames],
-            action=self.action[frames],
-            depth_m={name: images[frames] for name, images in self.depth_m.items()},
-            rgb={name: images[frames] for name, images in self.rgb.items()},
-            point_cloud_world=taken(self.point_cloud_world),
-            environment_state=taken(self.environment_state),
+            **taken,
             source_frames=frames if self.source_frames is None else self.source_frames[frames],
             displacement=None if self.displacement is None else self.displacement.at(frames),
         )
+
+    def of_the_world(self) -> dict[str, Any]:
+        """The channels as a demonstration of another embodiment has them before it gets its own: kept, or nothing."""
+        return {
+            name: getattr(self, name) if declared.on_transfer is OnTransfer.KEEP else declared.nothing
+            for name, declared in channels(Demonstration).items()
+        }

@@ -251,13 +251,14 @@ class Transfer:
         return (
             replace(
                 demonstration,
+                **demonstration.of_the_world()
+                | {
+                    "qpos": qpos,
+                    "action": action,
+                    "point_cloud_world": self._clouds(demonstration, scenes, qpos) if clouds else None,
+                },
                 embodiment=self.target.name,
-                qpos=qpos,
-                action=action,
                 scene=replace(demonstration.scene, T_world_base=base),
-                depth_m={},
-                rgb={},
-                point_cloud_world=self._clouds(demonstration, scenes, qpos) if clouds else None,
                 displacement=None,
             ),
             report,

@@ -21,7 +21,7 @@ def demonstration(index: int = 0, random: np.random.Generator | None = None) -> 
     scene = Scene(np.eye(4), (Camera("front", 8, 8, K, np.eye(4)),), np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]]))
     qpos = body.home + np.cumsum(random.normal(0, 0.01, (FRAMES + index, len(body.home))), axis=0)
     depth_m = {"front": random.uniform(0.2, 1.0, (len(qpos), 8, 8)).astype(np.float32)}
-    return Demonstration(ROBOT, 20.0, qpos, qpos, scene, f"task {index % 2}", depth_m)
+    return Demonstration(ROBOT, 20.0, qpos, qpos, scene, f"task {index % 2}", depth_m=depth_m)
 
 
 def write_source(root: Path) -> None:

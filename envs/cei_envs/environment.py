@@ -252,6 +252,14 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         """Camera name to the (H, W, 3) uint8 picture that belongs to the depth; empty without `colours`."""
         return self._rgb
 
+    def channels(self) -> dict[str, Any]:
+        """What demonstrations have of the moment of the last observation: channel of `cei_gym.demonstration.Demonstration` to its values."""
+        seen = self._seen
+        found = {"qpos": seen["agent_pos"], "environment_state": seen["environment_state"]}
+        if self._camera is not None:
+            found |= {"point_cloud_world": seen["point_cloud"], "depth_m": self._depth_m, "rgb": self._rgb}
+        return found
+
     @property
     def model(self) -> mujoco.MjModel:
         """The simulation's model."""
@@ -335,6 +343,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             points = fuse_depth(self.scene, self._depth_m, self._rgb)
             points = points[crop(points, self.scene.workspace_world)]
             observation["point_cloud"] = farthest_point_sample(points, CLOUD_POINTS)
+        self._seen = observation
         return observation
 
     def _info(self) -> dict[str, Any]:

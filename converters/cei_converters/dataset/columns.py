@@ -11,6 +11,7 @@ from cei_converters.dataset import schema
 from cei_converters.dataset.depth import MM_PER_M
 from cei_converters.dataset.description import Description
 from cei_converters.dataset.rows import read_rows
+from cei_gym.channels import Channel, present
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError, one_line
 
@@ -19,20 +20,18 @@ MAX_DEPTH_MM = np.iinfo(np.uint16).max
 
 def encode(demonstration: Demonstration, state_key: str = schema.PRIVILEGED_STATE) -> dict[str, np.ndarray]:
     """Feature key to (T, ...) values in the stored type and unit; the state of objects goes under `state_key`."""
-    columns = {
-        schema.STATE: demonstration.qpos.astype(np.float32),
-        schema.ACTION: demonstration.action.astype(np.float32),
+    return {
+        schema.channel_key(name, camera, state_key): _stored(name, declared, array)
+        for name, declared, value in present(demonstration)
+        for camera, array in declared.arrays(value).items()
     }
-    if demonstration.point_cloud_world is not None:
-        clouds = demonstration.point_cloud_world.astype(np.float32)
-        columns[schema.POINT_CLOUD] = clouds.reshape(len(clouds), -1)
-    for camera, depth_m in demonstration.depth_m.items():
-        columns[schema.depth_key(camera)] = _depth_to_mm(depth_m)
-    for camera, pictures in demonstration.rgb.items():
-        columns[schema.RGB_PREFIX + camera] = pictures
-    if demonstration.environment_state is not None:
-        columns[state_key] = demonstration.environment_state.astype(np.float32)
-    return columns
+
+
+def _stored(name: str, declared: Channel, array: np.ndarray) -> np.ndarray:
+    if name == "depth_m":
+        return _depth_to_mm(array)
+    stored = array.astype(declared.dtype)
+    return stored.reshape(len(stored), -1) if name == "point_cloud_world" else stored
 
 
 def _depth_to_mm(depth_m: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from cei_gym.channels import Channel, entry_names, present
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError, one_line
@@ -153,37 +154,47 @@ def cloud_shape(feature: Mapping[str, Any], where: str) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
+def channel_key(name: str, camera: str = "", state_key: str = PRIVILEGED_STATE) -> str:
+    """Feature key of a demonstration's channel.
+
+    Args:
+        name: of the channel.
+        camera: of a channel that cameras have.
+        state_key: where the state of objects goes, `PRIVILEGED_STATE` or `ENVIRONMENT_STATE`.
+    """
+    own = {"qpos": STATE, "action": ACTION, "point_cloud_world": POINT_CLOUD, "environment_state": state_key}
+    by_camera = {"depth_m": DEPTH_PREFIX, "rgb": RGB_PREFIX}
+    return by_camera[name] + camera if name in by_camera else own.get(name, f"observation.{name}")
+
+
 def features(
     embodiment: Embodiment, demonstration: Demonstration, state_key: str = PRIVILEGED_STATE
 ) -> dict[str, dict]:
-    """LeRobot features for demonstrations that carry the same observations as the given one.
+    """LeRobot features for demonstrations that carry the same channels as the given one.
 
     Args:
         embodiment: whose joints they have.
         demonstration: what they carry.
         state_key: where the state of objects goes, `PRIVILEGED_STATE` or `ENVIRONMENT_STATE`.
     """
-    joints = {"dtype": "float32", "shape": (len(embodiment.joint_names),)}
-    result: dict[str, dict] = {
-        STATE: {**joints, "names": joint_feature_names(embodiment)},
-        ACTION: {**joints, "names": joint_feature_names(embodiment)},
+    names = {"qpos": joint_feature_names(embodiment), "action": joint_feature_names(embodiment)}
+    return {
+        channel_key(name, camera, state_key): _feature(
+            name, declared, array.shape[1:], names.get(name) or list(entry_names(demonstration, name))
+        )
+        for name, declared, value in present(demonstration)
+        for camera, array in declared.arrays(value).items()
     }
-    if demonstration.point_cloud_world is not None:
-        result[POINT_CLOUD] = cloud_feature(*demonstration.point_cloud_world.shape[1:])
-    for camera, depth_m in demonstration.depth_m.items():
-        result[depth_key(camera)] = {
-            "dtype": "image",  # lossless; LeRobot's depth video rounds to 12 bits
-            "shape": (*depth_m.shape[1:], 1),
-            "names": ["height", "width", "channels"],
-            "info": {"is_depth_map": True, "depth_unit": "mm"},
-        }
-    for camera, pictures in demonstration.rgb.items():
-        result[RGB_PREFIX + camera] = {
-            "dtype": "image",  # lossless, too: colours at edges go with depth
-            "shape": pictures.shape[1:],
-            "names": ["height", "width", "channels"],
-        }
-    if demonstration.environment_state is not None:
-        names = list(demonstration.environment_state_names)
-        result[state_key] = {"dtype": "float32", "shape": (len(names),), "names": names}
-    return result
+
+
+def _feature(name: str, declared: Channel, shape: tuple[int, ...], names: list[str]) -> dict:
+    """LeRobot's feature of a channel's array, whose frames have this shape."""
+    pictures = {"dtype": "image", "names": ["height", "width", "channels"]}  # lossless: colours at edges go with depth
+    match name:
+        case "point_cloud_world":
+            return cloud_feature(*shape)
+        case "depth_m":  # LeRobot's depth video rounds to 12 bits
+            return {**pictures, "shape": (*shape, 1), "info": {"is_depth_map": True, "depth_unit": "mm"}}
+        case "rgb":
+            return {**pictures, "shape": shape}
+    return {"dtype": declared.dtype, "shape": shape, "names": names or None}

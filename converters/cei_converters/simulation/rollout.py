@@ -1,6 +1,6 @@
 """One episode in an environment, as a demonstration."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,44 +31,42 @@ def record_episode(
 
 def roll_out(
     env, seed: int, policy: Callable[[dict[str, np.ndarray]], Iterable[np.ndarray]]
-) -> tuple[dict[str, list], dict[str, Any]]:
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """One episode, which ends with success, at the time limit, or with the actions.
 
     Args:
         policy: the first observation to actions (n,), absolute joint targets, rad or m.
 
     Returns:
-        What was seen and done at each step, and the last `info`.
+        For each step the channels that a demonstration has of it, and the last `info`.
     """
     observation, info = env.reset(seed=seed)
-    frames: dict[str, list] = {"qpos": [], "action": [], "cloud": [], "state": [], "depth": [], "rgb": []}
+    frames: list[dict[str, Any]] = []
     for action in policy(observation):
-        frames["qpos"].append(observation["agent_pos"])
-        frames["action"].append(action)
-        frames["cloud"].append(observation["point_cloud"])
-        frames["state"].append(observation["environment_state"])
-        frames["depth"].append(env.unwrapped.depth_m())
-        frames["rgb"].append(env.unwrapped.rgb())
+        frames.append({**env.unwrapped.channels(), "action": action})
         observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             break
     return frames, info
 
 
-def as_demonstration(env, frames: dict[str, list], index: int) -> Demonstration:
+def as_demonstration(env, frames: Sequence[Mapping[str, Any]], index: int) -> Demonstration:
     """The frames of `roll_out` in this environment, at least one, as episode `index` of a dataset."""
     inner = env.unwrapped
     return Demonstration(
         embodiment=inner.embodiment.name,
         fps=env.metadata["render_fps"],
-        qpos=np.array(frames["qpos"], float),
-        action=np.array(frames["action"], float),
         scene=inner.scene,
         task=inner.task_text,
-        depth_m={name: np.stack([images[name] for images in frames["depth"]]) for name in frames["depth"][0]},
-        rgb={name: np.stack([images[name] for images in frames["rgb"]]) for name in frames["rgb"][0]},
-        point_cloud_world=np.stack(frames["cloud"]),
-        environment_state=np.array(frames["state"]),
         environment_state_names=inner.state_names,
         index=index,
+        **{name: _stacked([frame[name] for frame in frames]) for name in frames[0]},
     )
+
+
+def _stacked(values: Sequence[Any]) -> Any:
+    """A channel's values of all frames; joints and states as numbers of double precision."""
+    if isinstance(values[0], Mapping):
+        return {name: np.stack([each[name] for each in values]) for name in values[0]}
+    stacked = np.stack(values)
+    return stacked.astype(float) if stacked.ndim == 2 else stacked

@@ -22,6 +22,7 @@ from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.joint_map import ActionMap, JointMap
 from cei_converters.sources.recording import Recording, Recordings, spread
 from cei_converters.sources.source import Source, scene_without_metadata, table_from
+from cei_gym.channels import OnTransfer, channels
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.errors import CEIError
 
@@ -128,7 +129,13 @@ class DatasetReader(Source):
         self.cameras = {key: features[key] for key in cameras if key not in self._depth}
         self._objects = next((key for key in schema.STATES_OF_OBJECTS if key in features), schema.PRIVILEGED_STATE)
         action = None if self._actions is None else self._actions.feature
-        used = {self._state, action, schema.POINT_CLOUD, *schema.STATES_OF_OBJECTS, *self._meta.camera_keys}
+        self._sensors = {
+            name: key
+            for name, declared in channels(Demonstration).items()
+            if declared.names and declared.names == tuple(schema.feature_names(features.get(key := schema.channel_key(name), {})))
+        }
+        kept = [key for name, key in self._sensors.items() if channels(Demonstration)[name].on_transfer is OnTransfer.KEEP]
+        used = {self._state, action, schema.POINT_CLOUD, *schema.STATES_OF_OBJECTS, *self._meta.camera_keys, *kept}
         self.carried, self.dropped = carried.choose(features, {key for key in used if key is not None})
         self.dropped |= dict.fromkeys(absent, "as the dataset is here without its videos") | carried.of_episodes(
             self._meta
@@ -185,7 +192,7 @@ class DatasetReader(Source):
         """
         self.select([index])
         depth = self._depth if clouds else {}
-        keys = [self._state, self._objects, "task_index"]
+        keys = [self._state, self._objects, *self._sensors.values(), "task_index"]
         keys += [] if self._actions is None else [self._actions.feature]
         rgb = self._rgb if clouds and colours else {}
         images = [key for key in rgb.values() if key in self._meta.image_keys]
@@ -206,6 +213,7 @@ class DatasetReader(Source):
             shape = schema.cloud_shape(features[schema.POINT_CLOUD], schema.POINT_CLOUD)
             clouds_world = clouds_world.reshape(len(clouds_world), *shape)
         environment_state = values.get(self._objects)
+        sensors = {name: values[key].astype(float) for name, key in self._sensors.items()}
         tasks = frame_tasks(table, self._tasks, index) or self._meta.episode(index)["tasks"]
         return Demonstration(
             embodiment=self.embodiment.name,
@@ -221,6 +229,7 @@ class DatasetReader(Source):
             environment_state=None if environment_state is None else environment_state.astype(np.float64),
             environment_state_names=tuple(schema.feature_names(features.get(self._objects, {}))),
             index=index,
+            **sensors,
         )
 
     def check_videos(self, episodes: Sequence[int]) -> None:
