@@ -51,8 +51,9 @@ class Scene:
         return float(self.workspace_world[0, 2]) if self.table_z_m is None else self.table_z_m
 
 
-KEEP, RECOMPUTE = OnTransfer.KEEP, OnTransfer.RECOMPUTE
+KEEP, DROP, RECOMPUTE = OnTransfer.KEEP, OnTransfer.DROP, OnTransfer.RECOMPUTE
 AS_RECORDED, MOVE = OnDisplacement.AS_RECORDED, OnDisplacement.MOVE
+WRENCH = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ class Demonstration:
         rgb: camera name to (T, H, W, 3) uint8 pictures that belong to the depth, pixel for pixel.
         environment_state: (T, k) float64 state of the task's objects, or None.
         environment_state_names: k names, with units; none where nobody knows them.
+        wrench: (T, 6) force, N, and torque, N m, that the wrist's sensor feels, in the sensor's frame, or None.
         index: the episode's index in the dataset that it came from.
         figures: how well it could be read, where that is in question, such as `ik_position_mm`.
         source_frames: (T,) which frames of that episode these are, where they are not all of it in turn; else None.
@@ -104,6 +106,10 @@ class Demonstration:
         default=None, metadata=channel(("entries",), "as names say", KEEP, MOVE, frame="world", finite=True)
     )
     environment_state_names: tuple[str, ...] = ()
+    wrench: np.ndarray | None = field(
+        default=None,
+        metadata=channel((6,), "N, N m", DROP, AS_RECORDED, frame="wrist sensor", names=WRENCH, finite=True),
+    )
     index: int = 0
     figures: Mapping[str, float] = field(default_factory=dict)
     source_frames: np.ndarray | None = None

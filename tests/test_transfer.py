@@ -274,7 +274,11 @@ def test_clouds_are_the_same_twice(transfer: Callable) -> None:
         (np.zeros((0, 9)), np.zeros((0, 9)), "episode 7 has no frames"),
         (np.zeros((3, 9)), np.zeros((3, 8)), "action has shape (3, 8); it should be (3, 9)"),
         (np.full((3, 9), np.nan), np.zeros((3, 9)), "qpos is not finite at frame 0, entry 0"),
-        (np.zeros((3, 9)), np.where(np.arange(27) == 22, np.inf, 0).reshape(3, 9), "action is not finite at frame 2, entry 4"),
+        (
+            np.zeros((3, 9)),
+            np.where(np.arange(27) == 22, np.inf, 0).reshape(3, 9),
+            "action is not finite at frame 2, entry 4",
+        ),
     ],
 )
 def test_a_demonstration_that_cannot_be(qpos: np.ndarray, action: np.ndarray, message: str) -> None:

@@ -34,6 +34,7 @@ class RecordConfig:
     cameras: list[str] | None = None  # Depth cameras, such as [front,left,top]; default: front.
     depth_noise: str | None = None  # What makes depth like a real camera's, such as kinect; default: nothing.
     colours: bool = False  # Pictures beside depth, so that clouds have colours.
+    sensors: list[str] | None = None  # What else the robot feels, such as [wrench], as observation.<sensor>.
     privileged_state: bool = False  # Let policies see the state of objects, as observation.environment_state.
     teleop: str | None = None  # Demonstrate by hand, with keyboard or spacemouse; default: the scripted expert does.
     push_to_hub: bool = False  # Upload the dataset.
@@ -78,7 +79,7 @@ def record(config: RecordConfig) -> dict[str, Any]:
     check_place(root)
     json = Outputs(config.overwrite, root).file("--json", config.json, JSON)
     check_destination(config.push_to_hub, config.private, config.branch, config.pull_request)
-    given = {"cameras": config.cameras, "depth_noise": config.depth_noise}
+    given = {"cameras": config.cameras, "depth_noise": config.depth_noise, "sensors": config.sensors}
     kwargs = {name: value for name, value in given.items() if value is not None}
     if config.colours:
         kwargs["colours"] = True

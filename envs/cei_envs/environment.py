@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from cei_envs.picture import Picture
+from cei_envs.sensors import SENSORS, check_sensors
 from cei_envs.simulation import CONTROL_HZ, Simulation
 from cei_envs.viewpoints import make_cameras
 from cei_gym.demonstration import Scene
@@ -47,6 +48,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         colours: points of `point_cloud` are x, y, z in m and r, g, b in [0, 1].
         start_qpos: (n,) joint positions near which episodes start, or (k, n) to draw from, rad or m; default: the embodiment's
             home. A policy starts where its demonstrations do, which is elsewhere for those of another robot.
+        sensors: names of `cei_envs.sensors`, which `channels` measures too; observations stay what they are.
         render_mode: "rgb_array" or None.
     """
 
@@ -67,6 +69,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         depth_noise: str | Mapping[str, float] | None = None,
         colours: bool = False,
         start_qpos: Sequence[float] | Sequence[Sequence[float]] | None = None,
+        sensors: Sequence[str] = (),
         render_mode: str | None = None,
     ) -> None:
         gym.utils.EzPickle.__init__(
@@ -81,6 +84,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             depth_noise,
             colours,
             start_qpos,
+            sensors,
             render_mode,
         )
         if max_hold_ticks < 1:
@@ -89,6 +93,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             raise CEIError(f"unknown render_mode {render_mode!r}. Valid: {self.metadata['render_modes']} or None.")
         self.embodiment: Embodiment = load_embodiment(embodiment)
         self.render_mode = render_mode
+        self._sensors = check_sensors(sensors)
         self._stage = "made"
         self._starts = self._checked_starts(start_qpos)
         self._max_hold_ticks = max_hold_ticks
@@ -101,6 +106,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         self._colours = geom_colours(self._simulation.model) if colours else None
         self._depth_m: dict[str, np.ndarray] = {}
         self._rgb: dict[str, np.ndarray] = {}
+        self._seen: dict[str, np.ndarray] = {}
         self._picture: Picture | None = None
         n = len(self.embodiment.joint_names)
         kinds = np.array(self.embodiment.joint_units) == "m"
@@ -256,6 +262,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         """What demonstrations have of the moment of the last observation: channel of `cei_gym.demonstration.Demonstration` to its values."""
         seen = self._seen
         found = {"qpos": seen["agent_pos"], "environment_state": seen["environment_state"]}
+        found |= {name: SENSORS[name](self._simulation) for name in self._sensors}
         if self._camera is not None:
             found |= {"point_cloud_world": seen["point_cloud"], "depth_m": self._depth_m, "rgb": self._rgb}
         return found

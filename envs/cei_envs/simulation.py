@@ -86,6 +86,7 @@ class Simulation:
         owner = [self.model.body(b).name for b in self.model.geom_bodyid]
         self.robot_geoms = np.flatnonzero([name.startswith((arm, hand)) for name in owner])
         """Geoms of arm and end-effector."""
+        self._hand = hand
         base = self.model.body(robot.robot_model.root_body).id
         self.T_world_base = np.eye(4)
         self.T_world_base[:3, 3] = self.data.xpos[base]
@@ -95,6 +96,11 @@ class Simulation:
     def qpos(self) -> np.ndarray:
         """(n,) joint positions of arm, then end-effector, rad or m."""
         return self.data.qpos[self._qpos_address].copy()
+
+    @property
+    def wrench(self) -> np.ndarray:
+        """(6,) force, N, and torque, N m, between arm and end-effector, in the frame of robosuite's sensor there."""
+        return np.concatenate([self.data.sensor(f"{self._hand}{kind}_ee").data for kind in ("force", "torque")])
 
     def reset(self, qpos: np.ndarray) -> None:
         """Bring everything to its first state, with the robot at rest at `qpos` (n,)."""

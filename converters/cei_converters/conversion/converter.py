@@ -17,7 +17,7 @@ from cei_converters.dataset import schema
 from cei_converters.dataset.carried import with_objects_moved
 from cei_converters.dataset.columns import encode
 from cei_converters.dataset.episodes import encode_episode
-from cei_converters.dataset.metadata import START, Environment, plain
+from cei_converters.dataset.metadata import SENSORS, START, Environment, plain
 from cei_converters.dataset.writer import Header
 from cei_converters.sources import calibration
 from cei_converters.sources.formats import open_source
@@ -234,5 +234,5 @@ def _environment(reader: Source, target: str) -> Environment:
     source = reader.embodiment.name
     if known.id is None or not known.id.endswith(source):
         return Environment()
-    kwargs = {name: value for name, value in known.kwargs.items() if name != START}
+    kwargs = {name: value for name, value in known.kwargs.items() if name not in (START, SENSORS)}
     return Environment(known.id.removesuffix(source) + target, kwargs)

@@ -28,6 +28,8 @@ _MAY_BE_NULL = ("clouds", "total_episodes")
 REQUIRED = "embodiment, scene.T_world_base, scene.cameras (name, width, height, K, T_world_camera)"
 START = "start_qpos"
 """Argument of environments: where the dataset's own demonstrations start."""
+SENSORS = "sensors"
+"""Argument of environments: what the robot feels, for demonstrations; the target's have none of it."""
 _OPTIONAL = "scene.table_z_m"
 CONVENTIONS = {
     "world": "right-handed, z up, metres",

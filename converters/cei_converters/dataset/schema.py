@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cei_gym.channels import Channel, entry_names, present
+from cei_gym.channels import Channel, channels, entry_names, present
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError, one_line
@@ -167,6 +167,17 @@ def channel_key(name: str, camera: str = "", state_key: str = PRIVILEGED_STATE) 
     return by_camera[name] + camera if name in by_camera else own.get(name, f"observation.{name}")
 
 
+def sensors(features: Mapping[str, Mapping[str, object]]) -> dict[str, str]:
+    """Channels of sensors that a dataset has, name to feature key: only where entries are named as they are declared, as the same key may
+    mean other units and axes elsewhere."""
+    keys = {name: (channel_key(name), declared) for name, declared in channels(Demonstration).items() if declared.names}
+    return {
+        name: key
+        for name, (key, declared) in keys.items()
+        if key in features and tuple(feature_names(features[key])) == declared.names
+    }
+
+
 def features(
     embodiment: Embodiment, demonstration: Demonstration, state_key: str = PRIVILEGED_STATE
 ) -> dict[str, dict]:
@@ -197,4 +208,5 @@ def _feature(name: str, declared: Channel, shape: tuple[int, ...], names: list[s
             return {**pictures, "shape": (*shape, 1), "info": {"is_depth_map": True, "depth_unit": "mm"}}
         case "rgb":
             return {**pictures, "shape": shape}
-    return {"dtype": declared.dtype, "shape": shape, "names": names or None}
+    of_sensor = {"info": {"unit": declared.unit, "frame": declared.frame}} if declared.names else {}
+    return {"dtype": declared.dtype, "shape": shape, "names": names or None, **of_sensor}

@@ -129,12 +129,10 @@ class DatasetReader(Source):
         self.cameras = {key: features[key] for key in cameras if key not in self._depth}
         self._objects = next((key for key in schema.STATES_OF_OBJECTS if key in features), schema.PRIVILEGED_STATE)
         action = None if self._actions is None else self._actions.feature
-        self._sensors = {
-            name: key
-            for name, declared in channels(Demonstration).items()
-            if declared.names and declared.names == tuple(schema.feature_names(features.get(key := schema.channel_key(name), {})))
-        }
-        kept = [key for name, key in self._sensors.items() if channels(Demonstration)[name].on_transfer is OnTransfer.KEEP]
+        self._sensors = schema.sensors(features)
+        kept = [
+            key for name, key in self._sensors.items() if channels(Demonstration)[name].on_transfer is OnTransfer.KEEP
+        ]
         used = {self._state, action, schema.POINT_CLOUD, *schema.STATES_OF_OBJECTS, *self._meta.camera_keys, *kept}
         self.carried, self.dropped = carried.choose(features, {key for key in used if key is not None})
         self.dropped |= dict.fromkeys(absent, "as the dataset is here without its videos") | carried.of_episodes(
@@ -213,7 +211,7 @@ class DatasetReader(Source):
             shape = schema.cloud_shape(features[schema.POINT_CLOUD], schema.POINT_CLOUD)
             clouds_world = clouds_world.reshape(len(clouds_world), *shape)
         environment_state = values.get(self._objects)
-        sensors = {name: values[key].astype(float) for name, key in self._sensors.items()}
+        sensors: dict[str, Any] = {name: values[key].astype(float) for name, key in self._sensors.items()}
         tasks = frame_tasks(table, self._tasks, index) or self._meta.episode(index)["tasks"]
         return Demonstration(
             embodiment=self.embodiment.name,
