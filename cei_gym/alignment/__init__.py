@@ -8,13 +8,11 @@ from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.manual import ManualAlignment
 from cei_gym.alignment.pace import pace
 from cei_gym.alignment.problem import (
-    BACKENDS,
     AlignmentProblem,
     ClearanceOptions,
     ContactOptions,
     Motion,
     PaperOptions,
-    Solver,
     SolverOptions,
     Surroundings,
     Track,
@@ -22,13 +20,13 @@ from cei_gym.alignment.problem import (
 from cei_gym.alignment.quality import Quality, assess
 from cei_gym.alignment.reach import Miss, Reach
 from cei_gym.alignment.report import AlignmentReport, make_report, pad_residuals
+from cei_gym.alignment.solver import SecondOrderSolver, Solver
 from cei_gym.alignment.solvers import make_solver
 from cei_gym.alignment.squeeze import squeeze
 from cei_gym.alignment.starts import InitialisationOptions, find_basins
 from cei_gym.alignment.stream import Stream
 
 __all__ = [
-    "BACKENDS",
     "AlignmentProblem",
     "AlignmentReport",
     "Basin",
@@ -45,6 +43,7 @@ __all__ = [
     "Penetration",
     "Quality",
     "Reach",
+    "SecondOrderSolver",
     "Solver",
     "SolverOptions",
     "Stream",

@@ -13,7 +13,8 @@ from cei_gym.alignment.grasp import GraspRefiner
 from cei_gym.alignment.kernels.keep_out import shortfall
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import keep_out_links, pack_obstacles
-from cei_gym.alignment.problem import AlignmentProblem, ContactOptions, Motion, Solver, SolverOptions, Track
+from cei_gym.alignment.problem import AlignmentProblem, ContactOptions, Motion, SolverOptions, Track
+from cei_gym.alignment.solver import Solver
 from cei_gym.alignment.solvers import make_solver
 
 _TOLERATED_M = 1e-3

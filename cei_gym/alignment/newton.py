@@ -18,6 +18,7 @@ from cei_gym.alignment.kernels.quadratic import add_distance, project
 from cei_gym.alignment.kernels.target import load_source, make_target
 from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
 from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Surroundings, Track
+from cei_gym.alignment.solver import SecondOrderSolver
 
 _FULL_SPEED = 0.999
 
@@ -82,7 +83,7 @@ def _advance(target, points, normals, settings, keep_out, dt_s, last, before):
     return u
 
 
-class NewtonSolver:
+class NewtonSolver(SecondOrderSolver):
     """Levenberg-Marquardt on a majoriser of the DCD. Releases the GIL: trajectories run in threads, one a core."""
 
     def __init__(self, problem: AlignmentProblem, options: SolverOptions) -> None:

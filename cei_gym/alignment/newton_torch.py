@@ -17,6 +17,7 @@ from cei_gym.alignment.device import choose_device, widest_real
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import keep_out_links
 from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Surroundings, Track
+from cei_gym.alignment.solver import SecondOrderSolver
 from cei_gym.alignment.torch_model import Pose, Sources, TorchModel
 
 # As in `kernels.frame` and `kernels.step`.
@@ -64,7 +65,7 @@ class _State(NamedTuple):
     spent: Tensor
 
 
-class TorchNewtonSolver:
+class TorchNewtonSolver(SecondOrderSolver):
     """Levenberg-Marquardt on a majoriser of the DCD, batched. Double precision, except on "mps", which has none.
 
     Args:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from cei_gym.alignment.newton import NewtonSolver
-from cei_gym.alignment.problem import AlignmentProblem, Motion, Solver, SolverOptions, Track
+from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Track
+from cei_gym.alignment.solver import Solver
 
 
 def pace(

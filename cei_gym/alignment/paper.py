@@ -7,10 +7,11 @@ import torch
 
 from cei_gym.alignment.device import choose_device, widest_real
 from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Track
+from cei_gym.alignment.solver import Solver
 from cei_gym.kinematics.torch_chain import TorchChain
 
 
-class PaperSolver:
+class PaperSolver(Solver):
     """Equation (2): `w1 DCD + w2 L(q)` with w1 = 1 and L the squared violation of the joint limits.
 
     Trajectories are solved together, as the paper's "highly parallelized computations" are. It knows neither velocity limits

@@ -2,18 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
 from cei_gym.alignment.grip import Grip
+from cei_gym.alignment.registry import DEFAULT_SOLVER, OWN, solver_names
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.errors import CEIError, unknown
 from cei_gym.functional.distance import DEFAULT_DIRECTION_WEIGHT_M
 from cei_gym.functional.representation import FunctionalRepresentation
 from cei_gym.kinematics.tree import KinematicTree
 
-BACKENDS = ("auto", "numba", "torch", "paper")
+AUTO = "auto"
 DEVICES = ("auto", "cpu", "cuda", "mps")
 
 
@@ -68,7 +68,7 @@ class SolverOptions:
 
     Attributes:
         backend: "numba" (second order, compiled), "torch" (the same method, many trajectories at once, any device), "paper"
-            (pytorch-kinematics, autograd, Adam), or "auto" (numba).
+            (pytorch-kinematics, autograd, Adam), one that an installed package offers (`cei_gym.alignment.solvers`), or "auto" (numba).
         device: where "torch" and "paper" compute: "auto" (a GPU where there is one), "cpu", "cuda", "mps".
         lambda_m: weight of direction in the Directional Chamfer Distance, metres (points are in metres); 0 is the paper's
             ablation "without direction".
@@ -93,11 +93,11 @@ class SolverOptions:
     paper: PaperOptions = field(default_factory=PaperOptions)
 
     def __post_init__(self) -> None:
-        if self.backend not in BACKENDS:
-            raise unknown("solver.backend", self.backend, BACKENDS)
+        if self.backend not in (AUTO, *OWN) and self.backend not in (names := solver_names()):
+            raise unknown("solver.backend", self.backend, (AUTO, *names))
         if self.device not in DEVICES:
             raise unknown("solver.device", self.device, DEVICES)
-        if self.device not in ("auto", "cpu") and self.backend in ("auto", "numba"):
+        if self.device not in ("auto", "cpu") and self.backend in (AUTO, DEFAULT_SOLVER):
             raise CEIError(
                 f"solver.device={self.device} is where torch computes, which solver.backend={self.backend} does without; "
                 "give solver.backend=torch, or leave it out."
@@ -220,56 +220,3 @@ class AlignmentProblem:
     def place(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(..., m) independent joints to pad points and normals (..., N', 3) in the target's base frame."""
         return self.representation.place(self.tree.forward(self.embodiment.coupled.expand(u)))
-
-
-class Solver(Protocol):
-    """Aligns a target to source trajectories; stateless between calls."""
-
-    def track(
-        self,
-        points_base: np.ndarray,
-        normals_base: np.ndarray,
-        u0: np.ndarray,
-        iterations: int | None = None,
-        dt_s: float | None = None,
-        surroundings: Surroundings | None = None,
-    ) -> Track:
-        """Follow a trajectory frame by frame, each started from the last.
-
-        Args:
-            points_base, normals_base: (T, N, 3) source representation in the *target's* base frame, m and unit.
-            u0: (m,) where frame 0 starts, rad or m.
-            iterations: another budget a frame.
-            dt_s: time between frames; with it, joints keep their velocity limits.
-            surroundings: with it, links keep clear of them (`ClearanceOptions`).
-        """
-        ...
-
-    def track_all(self, motions: Sequence[Motion]) -> list[Track]:
-        """Follow many trajectories, in parallel."""
-        ...
-
-
-class SecondOrderSolver(Solver, Protocol):
-    """A solver that also searches one frame from many starts, and takes frames as they come."""
-
-    def solve_starts(
-        self, points_base: np.ndarray, normals_base: np.ndarray, starts: np.ndarray, iterations: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve one frame, (N, 3) each, from (S, m) starts.
-
-        Returns:
-            (S, m) independent joints and (S,) DCD, metres.
-        """
-        ...
-
-    def advance(
-        self,
-        points_base: np.ndarray,
-        normals_base: np.ndarray,
-        last: np.ndarray,
-        before: np.ndarray,
-        dt_s: float | None = None,
-    ) -> np.ndarray:
-        """One more frame, (N, 3) each, after the last two solutions (m,); the new one."""
-        ...

@@ -1,22 +1,33 @@
 """Solvers by name."""
 
-from cei_gym.alignment.newton import NewtonSolver
-from cei_gym.alignment.problem import AlignmentProblem, SecondOrderSolver, Solver, SolverOptions
+from importlib import import_module
+
+from cei_gym import plugins
+from cei_gym.alignment.problem import AUTO, AlignmentProblem, SolverOptions
+from cei_gym.alignment.registry import DEFAULT_SOLVER, GROUP, OWN
+from cei_gym.alignment.solver import SecondOrderSolver, Solver
 
 
 def make_solver(problem: AlignmentProblem, options: SolverOptions) -> Solver:
-    """The solver that `options.backend` names."""
-    if options.backend == "paper":
-        from cei_gym.alignment.paper import PaperSolver  # torch takes seconds to import
+    """The solver that `options.backend` names.
 
-        return PaperSolver(problem, options)
-    return make_second_order_solver(problem, options)
+    Raises:
+        CEIError: a package offers it, but it cannot be imported, or is no `Solver`.
+    """
+    return _class(options.backend)(problem, options)
 
 
 def make_second_order_solver(problem: AlignmentProblem, options: SolverOptions) -> SecondOrderSolver:
-    """The same, or the default one where `options.backend` is of first order."""
-    if options.backend == "torch":
-        from cei_gym.alignment.newton_torch import TorchNewtonSolver
+    """The same, or the default one where that is not of second order."""
+    found = _class(options.backend)
+    return found(problem, options) if issubclass(found, SecondOrderSolver) else _own(DEFAULT_SOLVER)(problem, options)
 
-        return TorchNewtonSolver(problem, options)
-    return NewtonSolver(problem, options)
+
+def _class(backend: str) -> type[Solver]:
+    name = DEFAULT_SOLVER if backend == AUTO else backend
+    return _own(name) if name in OWN else plugins.load(GROUP, name, Solver, "solver")
+
+
+def _own(name: str):
+    module, _, kind = OWN[name].partition(":")
+    return getattr(import_module(module), kind)

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cei_gym.alignment.problem import AlignmentProblem, SecondOrderSolver, SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, SolverOptions
+from cei_gym.alignment.solver import SecondOrderSolver
 from cei_gym.alignment.solvers import make_second_order_solver
 from cei_gym.errors import CEIError, unknown
 

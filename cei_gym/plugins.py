@@ -1,0 +1,51 @@
+"""What installed packages add by entry points, by group and name: `[project.entry-points."cei_gym.solvers"]` in a pyproject.toml.
+
+Names are read from metadata, without importing anything; what they name is imported when it is asked for.
+"""
+
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from cei_gym.errors import CEIError, one_line, unknown
+
+
+@cache
+def offered(group: str) -> dict[str, EntryPoint]:
+    """The entry points of a group by name, in the order of names.
+
+    Raises:
+        CEIError: two packages offer different things under one name.
+    """
+    found: dict[str, EntryPoint] = {}
+    for point in sorted(entry_points(group=group), key=lambda each: each.name):
+        other = found.setdefault(point.name, point)
+        if other.value != point.value:
+            raise CEIError(
+                f"two packages offer {point.name!r} of {group}: {other.value} and {point.value}; uninstall one."
+            )
+    return found
+
+
+def load(group: str, name: str, kind: type, what: str) -> Any:
+    """Import what a package offers.
+
+    Args:
+        group: the entry points'.
+        name: of the one wanted.
+        kind: what it is an instance of, or a subclass if it is a class.
+        what: it is, in words, for messages.
+
+    Raises:
+        CEIError: nobody offers it, it cannot be imported, or it is something else.
+    """
+    points = offered(group)
+    if name not in points:
+        raise unknown(what, name, points)
+    try:
+        found = points[name].load()
+    except Exception as error:  # a stranger's module may raise anything
+        raise CEIError(f"{what} {name!r} cannot be imported from {points[name].value}: {one_line(error)}") from error
+    if not (issubclass(found, kind) if isinstance(found, type) else isinstance(found, kind)):
+        raise CEIError(f"{what} {name!r}, {points[name].value}, should be a {kind.__module__}.{kind.__qualname__}.")
+    return found
