@@ -39,7 +39,7 @@ def compare(task: str, embodiment: str, width: int, height: int) -> dict:
     near, same, away, theirs_ms, ours_ms = [], [], [], [], []
     for seed in range(3):
         env.reset(seed=seed)
-        model, data = env.model, env._simulation.data
+        model, data = env.model, env.simulation.data
         option = mujoco.MjvOption()
         option.geomgroup[:], option.sitegroup[:] = 0, 0
         option.geomgroup[1] = 1

@@ -88,11 +88,11 @@ def obvious_unproject(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
 
 def measure(env: gym.Env, view: str, width: int, height: int, repeats: int) -> list[dict]:
     inner = env.unwrapped
-    model, data, embodiment, scene = inner.model, inner._simulation.data, inner.embodiment, inner.scene
+    model, data, embodiment, scene = inner.model, inner.simulation.data, inner.embodiment, inner.scene
     robot = [g for g in range(model.ngeom) if model.geom(g).name.startswith(("robot0", "gripper0"))]
     meshes = visual_link_meshes(embodiment.model)
     tree = KinematicTree(embodiment)
-    qpos = inner._simulation.qpos
+    qpos = inner.simulation.qpos
     T_world_links = scene.T_world_base @ tree.forward(qpos)
     if view == "close-up":
         camera = camera_from_mujoco(model, data, CLOSE_UP, width, height)

@@ -20,7 +20,7 @@ from cei_envs import environment_id, environment_ids
 from cei_envs.environment import CEIEnv
 from cei_envs.experts import make_expert
 from cei_envs.gripper import KINDS, register_gripper
-from cei_envs.registration import TASKS
+from cei_envs.registration import OWN, tasks
 from cei_envs.tasks.pick_cube import PickCubeEnv
 from cei_envs.viewpoints import VIEWPOINTS
 from cei_gym.embodiment import (
@@ -96,7 +96,7 @@ def test_every_embodiment_has_an_environment(name: str, task: str) -> None:
 
 def test_all_environments_are_registered_once() -> None:
     ids = environment_ids()
-    assert len(set(ids)) == len(ids) == len(TASKS) * len(ARMS) * len(END_EFFECTORS)
+    assert len(set(ids)) == len(ids) == len(tasks()) * len(ARMS) * len(END_EFFECTORS)
     assert sorted(i for i in gym.registry if i.startswith("CEI-")) == sorted(ids)
     assert cei_gym.__version__
 
@@ -289,7 +289,7 @@ def test_options_that_are_left_out_leave_observations_as_they_are(envs: dict[str
     actions = wander(env)
     assert_same(rollout(other, actions, seed=3), rollout(env, actions, seed=3))
     np.testing.assert_array_equal(env.scene.cameras[0].T_world_camera, other.scene.cameras[0].T_world_camera)
-    images = DepthCamera(env.model, env.scene.cameras).render(env._simulation.data)
+    images = DepthCamera(env.model, env.scene.cameras).render(env.simulation.data)
     whole_mm = np.rint(images["front"][0] * np.float32(1000)) / np.float32(1000)
     np.testing.assert_array_equal(env.depth_m()["front"], whole_mm)
     other.close()
@@ -309,7 +309,7 @@ def test_colours_are_those_of_the_pictures(envs: dict[str, CEIEnv]) -> None:
     env.close()
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", [task.name for task in OWN])
 def test_every_camera_sees_the_task_and_clouds_fuse_them(task: str) -> None:
     env = gym.make(environment_id(task, NAMES[0]), cameras=list(VIEWPOINTS)).unwrapped
     assert isinstance(env, CEIEnv)
@@ -358,16 +358,16 @@ def test_a_step_waits_until_the_joints_are_there(name: str, envs: dict[str, CEIE
     env.reset(seed=0)
     target = body.home.copy()
     target[: body.n_arm] += 0.1
-    time = env._simulation.data.time
+    time = env.simulation.data.time
     observation = env.step(target)[0]
-    assert 2 <= round((env._simulation.data.time - time) * 20) <= 5
+    assert 2 <= round((env.simulation.data.time - time) * 20) <= 5
     assert np.abs(observation["agent_pos"] - target)[: body.n_arm].max() < 0.05
     for _ in range(5):  # a target held long enough is reached to the tolerance
         observation = env.step(target)[0]
     assert np.abs(observation["agent_pos"] - target)[: body.n_arm].max() < 0.02
-    time = env._simulation.data.time
+    time = env.simulation.data.time
     env.step(target)  # and one that is reached takes a single control period
-    assert round((env._simulation.data.time - time) * 20) == 1
+    assert round((env.simulation.data.time - time) * 20) == 1
 
 
 @pytest.mark.parametrize(
@@ -381,12 +381,12 @@ def test_a_step_waits_until_the_joints_are_there(name: str, envs: dict[str, CEIE
 def test_actions_that_cannot_be_are_refused(action: Any, envs: dict[str, CEIEnv]) -> None:
     env = envs[NAMES[0]]
     env.reset(seed=0)
-    before = env._simulation.data.time
+    before = env.simulation.data.time
     with pytest.raises(CEIError) as error:
         env.step(action)
     assert "is 9 finite joint targets" in str(error.value)
     assert "\n" not in str(error.value)
-    assert env._simulation.data.time == before
+    assert env.simulation.data.time == before
 
 
 @pytest.mark.parametrize(
@@ -450,7 +450,7 @@ class Episode:
 
 def play(env: CEIEnv, actions: np.ndarray) -> tuple[np.ndarray, list[float], dict]:
     """Cube heights above the start after each step, rewards, last info; holds the last target for a while."""
-    start, lift, rewards, info = env._read_state()[2], [], [], {}
+    start, lift, rewards, info = env.read_state()[2], [], [], {}
     for action in [*actions, *[actions[-1]] * 20]:
         observation, reward, terminated, _, info = env.step(action)
         lift.append(observation["environment_state"][2] - start)
@@ -514,8 +514,8 @@ def test_a_blind_replay_mostly_fails(envs: dict[str, CEIEnv], episode: Episode) 
 def test_a_cube_that_is_only_high_for_a_moment_is_no_success(envs: dict[str, CEIEnv]) -> None:
     env = envs[NAMES[0]]
     env.reset(seed=0)
-    env._simulation.data.joint("cube_joint0").qpos[2] += 0.12  # falls for 0.16 s: high for three periods
-    mujoco.mj_forward(env.model, env._simulation.data)
+    env.simulation.data.joint("cube_joint0").qpos[2] += 0.12  # falls for 0.16 s: high for three periods
+    mujoco.mj_forward(env.model, env.simulation.data)
     infos = [env.step(env.embodiment.home)[4] for _ in range(12)]
     assert not any(info["is_success"] for info in infos)
     assert infos[-1]["failure"] == "dropped"
@@ -526,18 +526,18 @@ def test_no_object_moves_without_contact(envs: dict[str, CEIEnv], episode: Episo
     env = envs[NAMES[0]]
     start = {key: episode.start[key] for key in ("environment_state", "agent_pos")}
     env.reset(options=start)
-    data, model, cube = env._simulation.data, env.model, env.model.body("cube_main").id
+    data, model, cube = env.simulation.data, env.model, env.model.body("cube_main").id
 
     def touched_by() -> set[str]:
         bodies = model.geom_bodyid[data.contact.geom]
         pairs = bodies[(bodies == cube).any(axis=1)]
         return {model.body(b).name for pair in pairs for b in pair if b != cube}
 
-    first = env._read_state()[:3]
+    first = env.read_state()[:3]
     for action in episode.actions:
         terminated = env.step(action)[2]
         by_robot = {name for name in touched_by() if name.startswith(("robot0_", "gripper0_"))}
-        position = env._read_state()[:3]
+        position = env.read_state()[:3]
         if not by_robot and env._highest < 0.01:
             assert np.abs(position - first).max() < 1e-3
         if position[2] > first[2] + 0.005:
@@ -546,11 +546,11 @@ def test_no_object_moves_without_contact(envs: dict[str, CEIEnv], episode: Episo
         if terminated:
             break
     assert position[2] > first[2] + 0.05
-    opened = env._simulation.qpos
+    opened = env.simulation.qpos
     opened[env.embodiment.n_arm :] = env.embodiment.home[env.embodiment.n_arm :]
     for _ in range(10):
         env.step(opened)
-    assert env._read_state()[2] < first[2] + 0.01
+    assert env.read_state()[2] < first[2] + 0.01
 
 
 def test_a_cube_left_alone_stays(envs: dict[str, CEIEnv]) -> None:

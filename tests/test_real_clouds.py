@@ -84,7 +84,7 @@ def test_a_clouds_points_are_finite_in_the_workspace_and_of_the_target_and_the_s
 ) -> None:
     random, scene = np.random.default_rng(0), env.scene
     depth_m = {name: d if damage is None else damage(d, random) for name, d in env.depth_m().items()}
-    qpos, workspace = env._simulation.qpos, scene.workspace_world
+    qpos, workspace = env.simulation.qpos, scene.workspace_world
     target = load_embodiment(TARGET)
     kept = synthesise.remove(fuse_depth(scene, depth_m), scene, qpos)
     cloud = synthesise.add(kept, scene, target.home)
@@ -105,24 +105,24 @@ def test_outliers_are_dropped_where_that_is_asked_for(damage: Damage | None, env
         depth_m = {name: damage(d, np.random.default_rng(0)) for name, d in depth_m.items()}
     target = load_embodiment(TARGET)
     careful = CloudSynthesiser(load_embodiment(SOURCE), target, CloudOptions(outlier_m=0.03))
-    kept = careful.remove(fuse_depth(env.scene, depth_m), env.scene, env._simulation.qpos)
+    kept = careful.remove(fuse_depth(env.scene, depth_m), env.scene, env.simulation.qpos)
     cloud = careful.add(kept, env.scene, target.home)
     assert near_robot(TARGET, cloud, target.home, env, 1e-4).sum() >= 600
-    cube = env._read_state()[:3]
+    cube = env.read_state()[:3]
     assert (np.linalg.norm(cloud - cube, axis=1) < 0.04).sum() >= 5
 
 
 def test_of_the_source_a_stated_share_is_left(env: CEIEnv) -> None:
     """Pixels that truly show the source robot, and are farther than tau from where it should be."""
-    truth = DepthCamera(env.model, env._camera.cameras).render(env._simulation.data)  # pyright: ignore
+    truth = DepthCamera(env.model, env._camera.cameras).render(env.simulation.data)  # pyright: ignore
     on_robot = [
-        fuse_depth(env.scene, {name: np.where(np.isin(truth[name][1], env._simulation.robot_geoms), depth, 0)})
+        fuse_depth(env.scene, {name: np.where(np.isin(truth[name][1], env.simulation.robot_geoms), depth, 0)})
         for name, depth in env.depth_m().items()
     ]
     points = np.concatenate(on_robot)
     points = points[crop(points, env.scene.workspace_world)]
     assert len(points) > 500
-    left = ~near_robot(SOURCE, points, env._simulation.qpos, env, TAU_M)
+    left = ~near_robot(SOURCE, points, env.simulation.qpos, env, TAU_M)
     assert left.mean() < (0.001 if env._noise is None else 0.03)
 
 

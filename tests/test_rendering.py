@@ -121,7 +121,7 @@ def test_lift_matches_mujocos_renderer(reference, lift):
 def test_every_tasks_scene_matches_mujocos_renderer(task, reference):
     env = gym.make(f"CEI-{task}-UR5e-FourierRight", clouds=False).unwrapped
     env.reset(seed=1)
-    near, same = agreement(env.model, env._simulation.data, ("agentview", "frontview", "sideview"), reference)
+    near, same = agreement(env.model, env.simulation.data, ("agentview", "frontview", "sideview"), reference)
     env.close()
     assert near >= 0.999
     assert same >= 0.999

@@ -140,7 +140,7 @@ def script(person: Person, *lines: Callable[[], None]) -> None:
 
 
 def pose(env: CEIEnv) -> tuple[np.ndarray, Rotation]:
-    return grip_pose(env.embodiment, env._simulation.qpos)
+    return grip_pose(env.embodiment, env.simulation.qpos)
 
 
 def start_pose(env: CEIEnv) -> tuple[np.ndarray, Rotation]:
@@ -267,7 +267,7 @@ def test_targets_do_not_run_away_from_an_arm_that_the_table_holds_back(person: P
     z = grip_pose(env.embodiment, actions[-1].astype(float))[0][2]
     held = pose(env)[0][2]
     assert held - z < LEASH_M + STEP_M
-    assert (env._simulation.T_world_base[2, 3] + held) > 0.79
+    assert (env.simulation.T_world_base[2, 3] + held) > 0.79
 
 
 @pytest.mark.parametrize("name", [name for name in embodiment_names() if name.startswith("Kinova3-")])
@@ -458,4 +458,4 @@ def test_a_hand_without_a_grip_site(person: Person, envs: dict[str, CEIEnv]) -> 
     env = envs[PANDA]
     bare = replace(env.embodiment, model=mujoco.MjModel.from_xml_string("<mujoco/>"))
     with pytest.raises(CEIError, match="no site named 'grip_site'"):
-        Teleoperator("keyboard", env._simulation, bare)
+        Teleoperator("keyboard", env.simulation, bare)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
+
 from cei_converters import signals
 from cei_converters.cli import run
 from cei_converters.cli.options import check_overwrite, check_range
@@ -141,14 +143,14 @@ type Episode = tuple[int, Demonstration, dict[str, Any], dict[str, Any]]
 """Seed, demonstration, its last `info`, and what else the metadata shall say of it."""
 
 
-def scripted(env, seeds: Iterable[int], variation: float = 1.0) -> Iterator[Episode]:
+def scripted(env: gym.Env, seeds: Iterable[int], variation: float = 1.0) -> Iterator[Episode]:
     """The expert's episodes, one a seed, whether or not they succeed; they differ as much as `variation` says."""
     for index, seed in enumerate(seeds):
         demonstration, info, varied = record_episode(env, seed, index, variation)
         yield seed, demonstration, info, {"variation": varied}
 
 
-def by_hand(env, seeds: Iterable[int], teleoperator, device: str) -> Iterator[Episode]:
+def by_hand(env: gym.Env, seeds: Iterable[int], teleoperator, device: str) -> Iterator[Episode]:
     """A person's episodes: successes only, one a seed, until the teleoperator is stopped."""
     print(BY_HAND)
     for index, seed in enumerate(seeds):

@@ -1,7 +1,7 @@
 """What every CEI environment shares: observation, absolute joint actions that wait, restorable starts, pictures."""
 
 import operator
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -29,12 +29,15 @@ END_EFFECTOR_TOLERANCE_M = 0.002
 STALLED_RAD = 0.1  # an arm that ends a step this far from its target is held back
 STALLED_STEPS = 10
 HELD_TICKS = 20
-"""Control periods in a row for which a task must be done to count (1 s): success is what lasts."""
+"""Unless a task says otherwise (1 s): success is what lasts."""
 AT_REST = 0.05  # rad/s or m/s: joints slower than this have arrived, or are blocked by what they hold
 
 
-class CEIEnv(gym.Env, gym.utils.EzPickle):
+class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
     """Base of the tasks; see a task's own docstring for its page.
+
+    A task is a subclass with `task`, `task_text`, `state_names` and the abstract methods; one that lacks any of them cannot be made.
+    It becomes `CEI-<Task>-<Arm>-<EndEffector>` by a `cei_envs.registration.Task`.
 
     Args:
         embodiment: catalogue name, `<Arm>-<EndEffector>`.
@@ -53,9 +56,6 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
-
-    state_names: ClassVar[tuple[str, ...]]
-    """Names with units of the entries of `environment_state`."""
 
     def __init__(
         self,
@@ -87,6 +87,9 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             sensors,
             render_mode,
         )
+        for name in ("task", "task_text", "state_names"):
+            if not hasattr(self, name):
+                raise CEIError(f"{type(self).__name__} has no {name}; a task says it (see CEIEnv).")
         if max_hold_ticks < 1:
             raise CEIError(f"max_hold_ticks is at least 1, not {max_hold_ticks}.")
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -100,10 +103,10 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         placed = make_cameras(cameras, image_width, image_height)
         self._noise = as_noise(depth_noise)
         calibrated = placed if self._noise is None else tuple(believed(camera, self._noise) for camera in placed)
-        self._simulation = Simulation(self.embodiment, self._make_robosuite, stock_physics)
-        self.scene = Scene(self._simulation.T_world_base, calibrated, self._workspace_world())
-        self._camera = DepthCamera(self._simulation.model, placed) if clouds else None
-        self._colours = geom_colours(self._simulation.model) if colours else None
+        self.simulation = Simulation(self.embodiment, self.make_robosuite, stock_physics)
+        self.scene = Scene(self.simulation.T_world_base, calibrated, self.workspace_world())
+        self._camera = DepthCamera(self.simulation.model, placed) if clouds else None
+        self._colours = geom_colours(self.simulation.model) if colours else None
         self._depth_m: dict[str, np.ndarray] = {}
         self._rgb: dict[str, np.ndarray] = {}
         self._seen: dict[str, np.ndarray] = {}
@@ -112,7 +115,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         kinds = np.array(self.embodiment.joint_units) == "m"
         arm = np.arange(n) < self.embodiment.n_arm
         tolerance = np.where(kinds, END_EFFECTOR_TOLERANCE_M, END_EFFECTOR_TOLERANCE_RAD)
-        self._tolerance = np.where(arm, ARM_TOLERANCE_RAD, tolerance)[self._simulation.driven]
+        self._tolerance = np.where(arm, ARM_TOLERANCE_RAD, tolerance)[self.simulation.driven]
         lower, upper = (x.astype(np.float32) for x in (self.embodiment.lower, self.embodiment.upper))
         self.action_space = gym.spaces.Box(lower, upper, dtype=np.float32)
         box = self.scene.workspace_world
@@ -136,32 +139,38 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
     task_text: ClassVar[str]
     """The instruction in words."""
 
+    state_names: ClassVar[tuple[str, ...]]
+    """Names with units of the entries of `environment_state`; those of an object's pose as `cei_gym.augmentation.move_state` has them."""
+
+    held_ticks: ClassVar[int] = HELD_TICKS
+    """Control periods (1/20 s) in a row for which the task must be done to count."""
+
     @abstractmethod
-    def _make_robosuite(self, **robot_arguments) -> Any:
+    def make_robosuite(self, **robot_arguments) -> Any:
         """The robosuite environment of the task."""
 
     @abstractmethod
-    def _workspace_world(self) -> np.ndarray:
+    def workspace_world(self) -> np.ndarray:
         """(2, 3) box that clouds are cropped to, metres; its lower face lies just above the support surface."""
 
     @abstractmethod
-    def _sample_state(self, rng: np.random.Generator) -> np.ndarray:
+    def sample_state(self, rng: np.random.Generator) -> np.ndarray:
         """(k,) a random start."""
 
     @abstractmethod
-    def _apply_state(self, state: np.ndarray) -> None:
+    def apply_state(self, state: np.ndarray) -> None:
         """Put the task's objects into a state (k,)."""
 
     @abstractmethod
-    def _read_state(self) -> np.ndarray:
+    def read_state(self) -> np.ndarray:
         """(k,) state of the task's objects now."""
 
     @abstractmethod
-    def _begin(self) -> None:
+    def begin(self) -> None:
         """Forget the last episode; called when the start is in place."""
 
     @abstractmethod
-    def _is_done(self) -> bool:
+    def is_done(self) -> bool:
         """Whether the task is done at this moment; called once after each control period."""
 
     @abstractmethod
@@ -194,15 +203,15 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
                 f"unknown reset option {sorted(map(str, unknown))[0]!r}. Valid: environment_state, agent_pos."
             )
         # Drawn also when restored, and rounded to what datasets store, so that a stored start is the very start.
-        state = self._sample_state(self.np_random).astype(np.float32)
+        state = self.sample_state(self.np_random).astype(np.float32)
         qpos = self._sample_start(self.np_random).astype(np.float32)
         state = self._checked(options, "environment_state", state)
         qpos = self._checked(options, "agent_pos", qpos)
-        self._simulation.reset(qpos)
-        self._apply_state(state)
-        self._simulation.forward()
+        self.simulation.reset(qpos)
+        self.apply_state(state)
+        self.simulation.forward()
         self._target, self._stalled, self._held = qpos, 0, 0
-        self._begin()
+        self.begin()
         self._stage = "begun"
         return self._observation(), self._info()
 
@@ -222,13 +231,13 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             raise CEIError(f"an action of {self.embodiment.name} is {n} finite joint targets, not {error}.") from None
         self._target = np.clip(action, self.embodiment.lower, self.embodiment.upper)
         for _ in range(self._max_hold_ticks):
-            before = self._simulation.qpos
-            self._simulation.tick(self._target)
-            self._held = self._held + 1 if self._is_done() else 0
+            before = self.simulation.qpos
+            self.simulation.tick(self._target)
+            self._held = self._held + 1 if self.is_done() else 0
             if self._is_success() or self._arrived(before):
                 break
         arm = slice(self.embodiment.n_arm)
-        if np.abs(self._simulation.qpos - self._target)[arm].max() > STALLED_RAD:
+        if np.abs(self.simulation.qpos - self._target)[arm].max() > STALLED_RAD:
             self._stalled += 1
         success = self._is_success()
         return self._observation(), float(success), success, False, self._info()
@@ -239,14 +248,14 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         if self.render_mode is None:
             return None
         if self._picture is None:
-            self._picture = Picture(self._simulation.model)
-        return self._picture.render(self._simulation.data)
+            self._picture = Picture(self.simulation.model)
+        return self._picture.render(self.simulation.data)
 
     def close(self) -> None:
         """Free the simulation. May be called more than once."""
         if self._stage != "closed":
             self._stage = "closed"
-            self._simulation.close()
+            self.simulation.close()
 
     # -- beside Gymnasium ---------------------------------------------------------------------------------------
 
@@ -262,7 +271,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         """What demonstrations have of the moment of the last observation: channel of `cei_gym.demonstration.Demonstration` to its values."""
         seen = self._seen
         found = {"qpos": seen["agent_pos"], "environment_state": seen["environment_state"]}
-        found |= {name: SENSORS[name](self._simulation) for name in self._sensors}
+        found |= {name: SENSORS[name](self.simulation) for name in self._sensors}
         if self._camera is not None:
             found |= {"point_cloud_world": seen["point_cloud"], "depth_m": self._depth_m, "rgb": self._rgb}
         return found
@@ -270,7 +279,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
     @property
     def model(self) -> mujoco.MjModel:
         """The simulation's model."""
-        return self._simulation.model
+        return self.simulation.model
 
     def expert(self, seed: int, variation: float = 1.0):
         """The scripted expert of this task and embodiment, varied by `seed`: 1 as people vary, 0 not at all.
@@ -290,7 +299,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
         """
         from cei_envs.teleoperation import Teleoperator  # opens windows, which nothing else needs
 
-        return Teleoperator(device, self._simulation, self.embodiment)
+        return Teleoperator(device, self.simulation, self.embodiment)
 
     # -- inside -------------------------------------------------------------------------------------------------
 
@@ -299,7 +308,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             raise CEIError("the environment is closed; make another one, with gym.make.")
 
     def _is_success(self) -> bool:
-        return self._held >= HELD_TICKS
+        return self._held >= self.held_ticks
 
     def _sample_start(self, rng: np.random.Generator) -> np.ndarray:
         n, n_arm = len(self.embodiment.home), self.embodiment.n_arm
@@ -327,19 +336,19 @@ class CEIEnv(gym.Env, gym.utils.EzPickle):
             raise CEIError(f"reset option {name!r} is {len(default)} finite numbers, not {error}.") from None
 
     def _arrived(self, before: np.ndarray) -> bool:
-        driven, qpos = self._simulation.driven, self._simulation.qpos
+        driven, qpos = self.simulation.driven, self.simulation.qpos
         close = np.abs(qpos - self._target)[driven] < self._tolerance
         slow = np.abs(qpos - before)[driven] * CONTROL_HZ < AT_REST
         return bool(np.all(close | slow))
 
     def _observation(self) -> dict[str, np.ndarray]:
         observation = {
-            "agent_pos": self._simulation.qpos.astype(np.float32),
-            "environment_state": self._read_state().astype(np.float32),
+            "agent_pos": self.simulation.qpos.astype(np.float32),
+            "environment_state": self.read_state().astype(np.float32),
         }
         if self._camera is not None:
             self._depth_m, self._rgb = {}, {}
-            images = self._camera.render(self._simulation.data)
+            images = self._camera.render(self.simulation.data)
             for camera, (depth_m, geom_id) in zip(self._camera.cameras, images.values(), strict=True):
                 if self._colours is not None:
                     self._rgb[camera.name] = shade(depth_m, geom_id, camera, self._colours)

@@ -1,13 +1,63 @@
-"""Names of the environments, and their registration with Gymnasium."""
+"""Tasks, the names of their environments, and their registration with Gymnasium."""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import gymnasium as gym
 
-TASKS = {
-    "OpenDrawer": ("cei_envs.tasks.open_drawer:OpenDrawerEnv", 400),
-    "PickCube": ("cei_envs.tasks.pick_cube:PickCubeEnv", 400),
-    "StackCube": ("cei_envs.tasks.stack_cube:StackCubeEnv", 400),
-}
-"""Task name to entry point and time limit in steps."""
+GROUP = "cei_gym.tasks"
+"""Entry points by which packages offer tasks of their own: each names a `Task`, in a module that is quick to import."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task as it is registered; nothing of it is imported before it is needed.
+
+    Attributes:
+        name: the middle of `CEI-<Task>-<Arm>-<EndEffector>`.
+        environment: "module:Class", a subclass of `cei_envs.environment.CEIEnv`.
+        experts: embodiment to "module:Class" of a `cei_envs.experts.Expert` that solves the task with it.
+        max_episode_steps: after which an episode is truncated.
+    """
+
+    name: str
+    environment: str
+    experts: Mapping[str, str] = field(default_factory=dict)
+    max_episode_steps: int = 400
+
+
+_PANDA = "Panda-PandaGripper"
+OWN = (
+    Task(
+        "OpenDrawer",
+        "cei_envs.tasks.open_drawer:OpenDrawerEnv",
+        {_PANDA: "cei_envs.experts.open_drawer:OpenDrawerExpert"},
+    ),
+    Task("PickCube", "cei_envs.tasks.pick_cube:PickCubeEnv", {_PANDA: "cei_envs.experts.pick_cube:PickCubeExpert"}),
+    Task(
+        "StackCube", "cei_envs.tasks.stack_cube:StackCubeEnv", {_PANDA: "cei_envs.experts.stack_cube:StackCubeExpert"}
+    ),
+)
+
+
+def tasks() -> dict[str, Task]:
+    """All tasks by name: ours, then those that packages offer. One that cannot be had is left out, with a warning, as the others are of use."""
+    from cei_gym import plugins
+    from cei_gym.errors import CEIError
+
+    found = {task.name: task for task in OWN}
+    for name in plugins.offered(GROUP):
+        try:
+            offered: Task = plugins.load(GROUP, name, Task, "task")
+            if offered.name != name or name in found:
+                raise CEIError(
+                    f"task {name!r} is called {offered.name!r} by its package, or there is another one of that name."
+                )
+            found[name] = offered
+        except CEIError as error:
+            warnings.warn(str(error), stacklevel=2)
+    return found
 
 
 def environment_id(task: str, embodiment: str) -> str:
@@ -22,13 +72,18 @@ def environment_ids() -> list[str]:
 
     # robosuite has no others
     robots = [f"{arm}-{end_effector}" for arm in ARMS for end_effector in END_EFFECTORS]
-    return [environment_id(task, robot) for task in TASKS for robot in robots]
+    return [environment_id(task, robot) for task in tasks() for robot in robots]
 
 
 def register() -> None:
     """Register every environment, once; called by `import cei_gym`."""
+    known = tasks()
     for name in environment_ids():
         if name not in gym.registry:
             _, task, robot = name.split("-", 2)
-            entry_point, steps = TASKS[task]
-            gym.register(name, entry_point, max_episode_steps=steps, kwargs={"embodiment": robot})
+            gym.register(
+                name,
+                known[task].environment,
+                max_episode_steps=known[task].max_episode_steps,
+                kwargs={"embodiment": robot},
+            )

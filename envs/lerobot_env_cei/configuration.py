@@ -21,7 +21,7 @@ from cei_converters.dataset.starts import find_starts
 from cei_converters.simulation.environment import check_arguments
 from cei_envs import environment_id, environment_ids
 from cei_envs.environment import CLOUD_POINTS, CEIEnv
-from cei_envs.registration import TASKS
+from cei_envs.registration import tasks
 from cei_envs.rollout import make_rollout_env
 from cei_envs.simulation import CONTROL_HZ
 from cei_gym.embodiment import load_embodiment
@@ -82,7 +82,7 @@ class CEIEnvConfig(EnvConfig):
         check_arguments(self.gym_id, self._recorded)
         self._augmentation = self.clouds or _recorded_clouds(recorded)
         task, name = self.task.split("-", 1)
-        entry = cast(type[CEIEnv], load_env_creator(TASKS[task][0]))
+        entry = cast(type[CEIEnv], load_env_creator(tasks()[task].environment))
         n = len(load_embodiment(name).home)
         points = self._augmentation.points if self.augment else CLOUD_POINTS
         coloured = self.gym_kwargs.get("colours") and (self._augmentation.colours or not self.augment)

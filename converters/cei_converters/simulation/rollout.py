@@ -3,34 +3,36 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from cei_gym.demonstration import Demonstration
+from cei_gym.environment import robot_environment
 
 HOLD_STEPS = 20
 """Steps that the last target is held for a success to show."""
 
 
 def record_episode(
-    env, seed: int, index: int, variation: float = 1.0
+    env: gym.Env, seed: int, index: int, variation: float = 1.0
 ) -> tuple[Demonstration, dict[str, Any], dict[str, Any]]:
     """One demonstration of the expert: the episode, its last `info`, and how the expert varied.
 
     Raises:
-        CEIError: the environment has no expert.
+        CEIError: the environment has no expert, or is none of a robot.
     """
-    expert = env.unwrapped.expert(seed, variation)
+    expert = robot_environment(env).expert(seed, variation)
 
     def policy(observation: dict[str, np.ndarray]) -> Iterable[np.ndarray]:
         targets = expert.plan(observation["agent_pos"], observation["environment_state"]).astype(np.float32)
-        return [*targets, *[targets[-1]] * HOLD_STEPS]
+        return np.concatenate([targets, np.repeat(targets[-1:], HOLD_STEPS, axis=0)])
 
     frames, info = roll_out(env, seed, policy)
     return as_demonstration(env, frames, index), info, expert.describe()
 
 
 def roll_out(
-    env, seed: int, policy: Callable[[dict[str, np.ndarray]], Iterable[np.ndarray]]
+    env: gym.Env, seed: int, policy: Callable[[dict[str, np.ndarray]], Iterable[np.ndarray]]
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """One episode, which ends with success, at the time limit, or with the actions.
 
@@ -40,19 +42,20 @@ def roll_out(
     Returns:
         For each step the channels that a demonstration has of it, and the last `info`.
     """
+    channels = robot_environment(env).channels
     observation, info = env.reset(seed=seed)
     frames: list[dict[str, Any]] = []
     for action in policy(observation):
-        frames.append({**env.unwrapped.channels(), "action": action})
+        frames.append({**channels(), "action": action})
         observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             break
     return frames, info
 
 
-def as_demonstration(env, frames: Sequence[Mapping[str, Any]], index: int) -> Demonstration:
+def as_demonstration(env: gym.Env, frames: Sequence[Mapping[str, Any]], index: int) -> Demonstration:
     """The frames of `roll_out` in this environment, at least one, as episode `index` of a dataset."""
-    inner = env.unwrapped
+    inner = robot_environment(env)
     return Demonstration(
         embodiment=inner.embodiment.name,
         fps=env.metadata["render_fps"],

@@ -1,24 +1,31 @@
 """Scripted experts, by task and embodiment."""
 
+from importlib import import_module
+
+import numpy as np
+
+from cei_envs.experts.expert import Expert
+from cei_envs.registration import environment_id, tasks
+from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 
-EXPERTS = {
-    ("OpenDrawer", "Panda-PandaGripper"): "cei_envs.experts.open_drawer:OpenDrawerExpert",
-    ("PickCube", "Panda-PandaGripper"): "cei_envs.experts.pick_cube:PickCubeExpert",
-    ("StackCube", "Panda-PandaGripper"): "cei_envs.experts.stack_cube:StackCubeExpert",
-}
+__all__ = ["Expert", "make_expert"]
 
 
-def make_expert(task: str, embodiment, T_world_base, seed: int, variation: float = 1.0):
+def make_expert(
+    task: str, embodiment: Embodiment, T_world_base: np.ndarray, seed: int, variation: float = 1.0
+) -> Expert:
     """The expert of a task for an embodiment; `variation` as in `Expert`.
 
     Raises:
-        CEIError: there is none (the message lists those there are).
+        CEIError: there is none (the message lists those there are), or it is no `Expert`.
     """
-    from importlib import import_module
-
-    if (task, embodiment.name) not in EXPERTS:
-        known = ", ".join(f"CEI-{t}-{e}" for t, e in EXPERTS)
-        raise CEIError(f"no scripted expert for CEI-{task}-{embodiment.name}. There is one for: {known}.")
-    module, name = EXPERTS[task, embodiment.name].split(":")
-    return getattr(import_module(module), name)(embodiment, T_world_base, seed, variation)
+    known = {(each.name, robot): value for each in tasks().values() for robot, value in each.experts.items()}
+    if (task, embodiment.name) not in known:
+        listed = ", ".join(environment_id(*pair) for pair in known)
+        raise CEIError(f"no scripted expert for {environment_id(task, embodiment.name)}. There is one for: {listed}.")
+    module, _, name = known[task, embodiment.name].partition(":")
+    kind = getattr(import_module(module), name)
+    if not (isinstance(kind, type) and issubclass(kind, Expert)):
+        raise CEIError(f"{module}:{name} is no cei_envs.experts.Expert.")
+    return kind(embodiment, T_world_base, seed, variation)

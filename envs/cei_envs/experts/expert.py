@@ -14,14 +14,34 @@ from cei_gym.embodiment import Embodiment
 
 
 class Expert(ABC):
-    """A script for one task.
+    """Demonstrates one task with one robot.
 
     Args:
-        embodiment: an arm with a parallel gripper.
+        embodiment: the robot.
         T_world_base: (4, 4) pose of its base, which stands upright.
         seed: of the variation.
         variation: how much demonstrations differ; 1 as people's do, 0 not at all.
     """
+
+    @abstractmethod
+    def __init__(self, embodiment: Embodiment, T_world_base: np.ndarray, seed: int, variation: float = 1.0) -> None: ...
+
+    @abstractmethod
+    def plan(self, agent_pos: np.ndarray, environment_state: np.ndarray) -> np.ndarray:
+        """(T, n) joint targets from the start of an episode, rad or m.
+
+        Args:
+            agent_pos: (n,) joint positions, rad or m.
+            environment_state: (k,) as the task gives it.
+        """
+
+    @abstractmethod
+    def describe(self) -> dict:
+        """How it varies, as JSON types, for the dataset's metadata."""
+
+
+class GripperExpert(Expert):
+    """A script for an arm with a parallel gripper: the grip site's waypoints, varied as people vary."""
 
     def __init__(self, embodiment: Embodiment, T_world_base: np.ndarray, seed: int, variation: float = 1.0) -> None:
         self._embodiment, self._T_base_world = embodiment, np.linalg.inv(T_world_base)
@@ -33,12 +53,7 @@ class Expert(ABC):
         return asdict(self.variation)
 
     def plan(self, agent_pos: np.ndarray, environment_state: np.ndarray) -> np.ndarray:
-        """(T, n) joint targets from the start of an episode.
-
-        Args:
-            agent_pos: (n,) joint positions, rad or m.
-            environment_state: (k,) as the task gives it.
-        """
+        """See `Expert.plan`."""
         waypoints = self._waypoints(np.asarray(environment_state, float))
         start = np.asarray(agent_pos, float)
         return plan(self._embodiment, start, waypoints, self.variation.jitter_m, self._rng)

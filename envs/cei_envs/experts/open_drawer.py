@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cei_envs.experts.expert import Expert
+from cei_envs.experts.expert import GripperExpert
 from cei_envs.experts.plan import Waypoint
 from cei_envs.tasks.cube import TABLE_Z_M
 
@@ -14,7 +14,7 @@ _ABOVE_M = 0.10
 _PULL_M = 0.125
 
 
-class OpenDrawerExpert(Expert):
+class OpenDrawerExpert(GripperExpert):
     """Reach over the handle, descend until the fingers straddle it, close, pull."""
 
     def _waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:

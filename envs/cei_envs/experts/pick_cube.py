@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cei_envs.experts.expert import Expert, upright
+from cei_envs.experts.expert import GripperExpert, upright
 from cei_envs.experts.plan import Waypoint, grip_pose
 
 _ABOVE_M = 0.10
 _LIFT_M = 0.15
 
 
-class PickCubeExpert(Expert):
+class PickCubeExpert(GripperExpert):
     """Reach over the cube, descend, close, lift."""
 
     def _waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:

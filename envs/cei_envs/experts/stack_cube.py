@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cei_envs.experts.expert import Expert
+from cei_envs.experts.expert import GripperExpert
 from cei_envs.experts.plan import Waypoint
 from cei_envs.tasks.cube import STATE_SIZE
 
@@ -14,7 +14,7 @@ _LET_GO_M = 0.002  # above the green cube
 _PLACE_M = 0.003  # error of the place, each way
 
 
-class StackCubeExpert(Expert):
+class StackCubeExpert(GripperExpert):
     """Reach over the red cube, descend, close, lift, carry over the green cube, lower, open, withdraw."""
 
     def _waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:

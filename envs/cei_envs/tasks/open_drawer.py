@@ -56,33 +56,33 @@ class OpenDrawerEnv(CEIEnv):
         "drawer.opening_m",
     )
 
-    def _make_robosuite(self, **robot_arguments) -> Any:
+    def make_robosuite(self, **robot_arguments) -> Any:
         from cei_envs.tasks.cabinet import OpenDrawer
 
         return OpenDrawer(**robot_arguments)
 
-    def _workspace_world(self) -> np.ndarray:
+    def workspace_world(self) -> np.ndarray:
         return np.array([[-0.35, -0.35, TABLE_Z_M + 0.004], [0.35, 0.35, TABLE_Z_M + 0.45]])
 
-    def _sample_state(self, rng: np.random.Generator) -> np.ndarray:
+    def sample_state(self, rng: np.random.Generator) -> np.ndarray:
         x, y = rng.uniform(*FRONT_X_M), rng.uniform(-PLACEMENT_Y_M, PLACEMENT_Y_M)
         return np.array([x, y, rng.uniform(-YAW_RAD, YAW_RAD), 0.0])
 
-    def _apply_state(self, state: np.ndarray) -> None:
+    def apply_state(self, state: np.ndarray) -> None:
         x, y, yaw, opening = state
         cabinet = self.model.body("cabinet_main")
         cabinet.pos[:] = [x, y, TABLE_Z_M]
         cabinet.quat[:] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
-        self._simulation.data.joint("cabinet_slide").qpos[:] = opening
+        self.simulation.data.joint("cabinet_slide").qpos[:] = opening
 
-    def _read_state(self) -> np.ndarray:
+    def read_state(self) -> np.ndarray:
         cabinet = self.model.body("cabinet_main")
         return np.array([*cabinet.pos[:2], 2 * np.arctan2(cabinet.quat[3], cabinet.quat[0]), self._opening_m])
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
         self._widest = 0.0
 
-    def _is_done(self) -> bool:
+    def is_done(self) -> bool:
         self._widest = max(self._widest, self._opening_m)
         return self._opening_m >= OPENED_M
 
@@ -93,4 +93,4 @@ class OpenDrawerEnv(CEIEnv):
 
     @property
     def _opening_m(self) -> float:
-        return float(self._simulation.data.joint("cabinet_slide").qpos[0])
+        return float(self.simulation.data.joint("cabinet_slide").qpos[0])

@@ -61,30 +61,30 @@ class PickCubeEnv(CEIEnv):
     task_text: ClassVar[str] = "Pick up the cube and hold it."
     state_names: ClassVar[tuple[str, ...]] = state_names("cube")
 
-    def _make_robosuite(self, **robot_arguments) -> Any:
+    def make_robosuite(self, **robot_arguments) -> Any:
         import robosuite
 
         return robosuite.make("Lift", **robot_arguments)
 
-    def _workspace_world(self) -> np.ndarray:
+    def workspace_world(self) -> np.ndarray:
         return np.array([[-0.35, -0.35, TABLE_Z_M + 0.004], [0.25, 0.35, TABLE_Z_M + 0.45]])
 
-    def _sample_state(self, rng: np.random.Generator) -> np.ndarray:
+    def sample_state(self, rng: np.random.Generator) -> np.ndarray:
         half = rng.uniform(*HALF_SIZE_M, 3)
         x, y = rng.uniform(-PLACEMENT_M, PLACEMENT_M, 2)
         return cube_on_table(x, y, rng.uniform(-np.pi, np.pi), half)
 
-    def _apply_state(self, state: np.ndarray) -> None:
+    def apply_state(self, state: np.ndarray) -> None:
         self._cube.apply(state)
 
-    def _read_state(self) -> np.ndarray:
+    def read_state(self) -> np.ndarray:
         return self._cube.read()
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
         self._start_z = self._cube.position_world[2]
         self._highest = 0.0
 
-    def _is_done(self) -> bool:
+    def is_done(self) -> bool:
         lift = self._lift_m
         self._highest = max(self._highest, lift)
         return lift >= LIFTED_M
@@ -98,7 +98,7 @@ class PickCubeEnv(CEIEnv):
 
     @cached_property
     def _cube(self) -> Cube:
-        return Cube(self.model, self._simulation.data, "cube_main")
+        return Cube(self.model, self.simulation.data, "cube_main")
 
     @property
     def _lift_m(self) -> float:

@@ -54,15 +54,15 @@ class StackCubeEnv(CEIEnv):
     task_text: ClassVar[str] = "Put the red cube on the green cube."
     state_names: ClassVar[tuple[str, ...]] = state_names("red") + state_names("green")
 
-    def _make_robosuite(self, **robot_arguments) -> Any:
+    def make_robosuite(self, **robot_arguments) -> Any:
         import robosuite
 
         return robosuite.make("Stack", **robot_arguments)
 
-    def _workspace_world(self) -> np.ndarray:
+    def workspace_world(self) -> np.ndarray:
         return np.array([[-0.35, -0.35, TABLE_Z_M + 0.004], [0.25, 0.35, TABLE_Z_M + 0.45]])
 
-    def _sample_state(self, rng: np.random.Generator) -> np.ndarray:
+    def sample_state(self, rng: np.random.Generator) -> np.ndarray:
         red = green = np.zeros(2)
         while np.linalg.norm(red - green) < APART_M:
             red, green = rng.uniform(-PLACEMENT_M, PLACEMENT_M, (2, 2))
@@ -70,21 +70,21 @@ class StackCubeEnv(CEIEnv):
         cubes = zip((red, green), yaws, HALF_SIZES_M, strict=True)
         return np.concatenate([cube_on_table(x, y, yaw, np.full(3, half)) for (x, y), yaw, half in cubes])
 
-    def _apply_state(self, state: np.ndarray) -> None:
+    def apply_state(self, state: np.ndarray) -> None:
         self._red.apply(state[:STATE_SIZE])
         self._green.apply(state[STATE_SIZE:])
 
-    def _read_state(self) -> np.ndarray:
+    def read_state(self) -> np.ndarray:
         return np.concatenate([self._red.read(), self._green.read()])
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
         self._start_green = self._green.position_world
         self._highest = 0.0
 
-    def _is_done(self) -> bool:
+    def is_done(self) -> bool:
         height = self._red.position_world[2] - TABLE_Z_M
         self._highest = max(self._highest, height - self._red.half_height_m)
-        touching = self._simulation.touching
+        touching = self.simulation.touching
         return height > LIFTED_M and touching(self._red.geoms, self._green.geoms) and not self._held_by_robot
 
     def failure_reason(self) -> str:
@@ -98,12 +98,12 @@ class StackCubeEnv(CEIEnv):
 
     @property
     def _held_by_robot(self) -> bool:
-        return self._simulation.touching(self._red.geoms, self._simulation.robot_geoms)
+        return self.simulation.touching(self._red.geoms, self.simulation.robot_geoms)
 
     @cached_property
     def _red(self) -> Cube:
-        return Cube(self.model, self._simulation.data, "cubeA_main")
+        return Cube(self.model, self.simulation.data, "cubeA_main")
 
     @cached_property
     def _green(self) -> Cube:
-        return Cube(self.model, self._simulation.data, "cubeB_main")
+        return Cube(self.model, self.simulation.data, "cubeB_main")
