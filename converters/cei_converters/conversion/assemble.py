@@ -4,9 +4,9 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from cei_converters.conversion.converter import Converter
+from cei_converters.conversion.episode import Outcome
 from cei_converters.conversion.outcomes import Account, outcomes
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.shard import Shard
@@ -63,13 +63,13 @@ def _with_choices(provenance: Provenance, transfer: Transfer, told: Account) -> 
     return replace(provenance, pads=pads, options=options)
 
 
-def _with_start(environment: Environment, found: Iterable[dict[str, Any]]) -> Environment:
+def _with_start(environment: Environment, found: Iterable[Outcome]) -> Environment:
     """The environment with episodes that start where the demonstrations of each mode do: a policy knows no other way."""
     if environment.id is None:
         return environment
     starts: dict[int, list[list[float]]] = defaultdict(list)
     for outcome in found:
-        if not outcome["left_out"]:
-            starts[outcome["mode"]].append(outcome["start_qpos"])
+        if not outcome.left_out:
+            starts[outcome.mode].append(outcome.start_qpos)
     middles = [middle(qpos) for _, qpos in sorted(starts.items())]
     return replace(environment, kwargs=environment.kwargs | {START: middles})

@@ -1,4 +1,4 @@
-"""One episode in, one converted episode out: reading, moving, verifying, encoding."""
+"""One episode in, one converted episode out, through the steps that options ask for (`steps`)."""
 
 import contextlib
 from collections.abc import Iterator, Sequence
@@ -8,24 +8,17 @@ from cei_converters.cli.options import parse_episodes, parse_pose
 from cei_converters.conversion.agreement import check_clouds
 from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.config import ConvertConfig
-from cei_converters.conversion.gate import DROPPED, FLAGGED, LOW_QUALITY
+from cei_converters.conversion.episode import Converted
 from cei_converters.conversion.in_order import in_background, in_order
-from cei_converters.conversion.reach import check_reached
-from cei_converters.conversion.shard import Converted
-from cei_converters.conversion.verify import Verdict, Verifier, open_stage
+from cei_converters.conversion.steps import Encode, Judge, OnRecorded, OnRetargeted, Read, Retarget, make_steps
+from cei_converters.conversion.verify import Verifier, open_stage
 from cei_converters.dataset import schema
 from cei_converters.dataset.carried import with_objects_moved
-from cei_converters.dataset.columns import encode
-from cei_converters.dataset.episodes import encode_episode
-from cei_converters.dataset.metadata import SENSORS, START, Environment, plain
-from cei_converters.dataset.writer import Header
+from cei_converters.dataset.metadata import SENSORS, START, Environment
 from cei_converters.sources import calibration
 from cei_converters.sources.formats import open_source
 from cei_converters.sources.recording import spread
 from cei_converters.sources.source import Source
-from cei_gym.alignment import assess
-from cei_gym.augmentation import Offset
-from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment, use_package_path
 from cei_gym.errors import CEIError
 from cei_gym.transfer import Transfer
@@ -69,19 +62,34 @@ class Converter:
             config.clouds,
             pose,
         )
-        self._augmentation, self.cameras = None, self.reader.cameras
+        augmentation, self.cameras = None, self.reader.cameras
         if config.augment.enabled:
-            self._augmentation, self.cameras = Augmentation(config.augment, self.reader, self.transfer), {}
+            augmentation, self.cameras = Augmentation(config.augment, self.reader, self.transfer), {}
             for name, reason in with_objects_moved(self.reader.carried).items():
                 self.reader.drop([name], reason)
-            self.selected = [index for index in self.selected for _ in range(len(self._augmentation))]
+            self.selected = [index for index in self.selected for _ in range(len(augmentation))]
         self.environment = _environment(self.reader, config.target)
         self._opened = contextlib.ExitStack()
-        self._verifier = None
+        verifier = None
         if config.verify.enabled:
             stage = open_stage(self.reader.repo_id, self.environment, config.target, self.T_world_target)
             self._opened.enter_context(stage)
-            self._verifier = Verifier(self.transfer, stage, config.verify, config.allow_unreachable)
+            verifier = Verifier(self.transfer, stage, config.verify, config.allow_unreachable)
+        self._verified = verifier is not None
+        added = make_steps(config.steps or (), self.transfer)
+        on_recorded = [step for step in added if isinstance(step, OnRecorded)]
+        on_retargeted = [step for step in added if isinstance(step, OnRetargeted)]
+        self._read = Read(self.reader, self.selected, augmentation, on_recorded)
+        self._retarget = Retarget(self.transfer, verifier, config.init.modes, not config.dry_run, on_retargeted)
+        self._judge = Judge(config.gate, config.allow_unreachable)
+        self._encode = Encode(
+            self.reader,
+            config.target,
+            schema.state_key(config.privileged_state),
+            config.init.modes,
+            config.allow_unreachable,
+            config.dry_run,
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -97,16 +105,17 @@ class Converter:
         """
         with one_thread():
             read = [self._read(i, colours=False) for i in spread(len(self.selected), FIT_EPISODES)]
-            if self._config.check_clouds and (told := check_clouds(self.transfer.source, [each[0] for each in read])):
+            shown = [each.demonstration for each in read]
+            if self._config.check_clouds and (told := check_clouds(self.transfer.source, shown)):
                 print(told)
-            self.transfer.fit([demonstration for demonstration, _, inside in read if inside] or [read[0][0]])
+            self.transfer.fit([each.demonstration for each in read if each.inside] or shown[:1])
 
     def start_from(self, finalists: "Sequence[Basin]") -> None:
         """Take what `fit` found elsewhere."""
         if finalists:
             self.transfer.start_from(finalists)
         else:  # the manual baseline looks at one episode, and quickly
-            self.transfer.fit([self._read(0, colours=False)[0]])
+            self.transfer.fit([self._read(0, colours=False).demonstration])
 
     def convert(self, positions: Sequence[int], threads: int) -> Iterator[Converted]:
         """Converted episodes, in order.
@@ -119,79 +128,10 @@ class Converter:
             CEIError: an episode cannot be read, or the target cannot reach it.
         """
         with one_thread():
-            yield from in_order(self._convert, positions, 1 if self._verifier is not None else threads)
-
-    def _read(self, position: int, colours: bool) -> tuple[Demonstration, Offset | None, bool]:
-        """One of the selected, its objects' offset if it is augmented, and whether they are then in the workspace."""
-        recorded = self.reader.read(self.selected[position], colours=colours)
-        if self._augmentation is None:
-            return recorded, None, True
-        return self._augmentation(recorded, position % len(self._augmentation))
+            yield from in_order(self._convert, positions, 1 if self._verified else threads)
 
     def _convert(self, position: int) -> Converted:
-        config, index = self._config, self.selected[position]
-        recorded, offset, inside = self._read(position, colours=config.clouds.colours)
-        mode = position % config.init.modes  # motions take turns: a dataset is an even mixture
-        if self._verifier is None:
-            moved, report = self.transfer(recorded, mode, clouds=not config.dry_run)
-            verdict = None
-        else:
-            moved, report, verdict = self._verifier(recorded, mode)
-        summary = report.summary() | ({"mode": mode} if config.init.modes > 1 else {})
-        quality = assess(report)
-        fate = config.gate.fate(quality.score)
-        record = {**self.reader.record(index), "source_episode": index}
-        for of_the_source in ("verified", "source_frames", "flagged", "offset"):
-            record.pop(of_the_source, None)
-        if offset is not None:
-            record["offset"] = plain(offset)
-        record["quality"] = {"score": quality.score, "parts": quality.parts}
-        if fate == FLAGGED:
-            record["flagged"] = True
-        entry = {
-            "episode": index,
-            **record.get("offset", {}),
-            "frames": len(moved),
-            **recorded.figures,
-            **summary,
-            "quality": quality.score,
-            "weakest": quality.weakest,
-        }
-        if verdict is not None:
-            record["verified"] = verdict.record()
-        source_frames = None if moved.source_frames is None else moved.source_frames.tolist()
-        if source_frames is not None:
-            record["source_frames"] = source_frames
-        worst = quality.frame
-        qpos_source = recorded.qpos[worst if moved.source_frames is None else moved.source_frames[worst]]
-        frames = {"pad_distance_mm": report.pad_distance_mm, "normal_angle_deg": report.normal_angle_deg}
-        outcome = {
-            "entry": entry,
-            "residuals": {"episode": index, **frames},
-            "record": {**record, **recorded.figures, "alignment": summary},
-            "worst": {"frame": worst, "qpos_source": qpos_source, "qpos_target": moved.qpos[worst]},
-            "verdict": verdict,
-            "left_out": self._left_out(inside, offset is not None and bool(report.unreachable_frames), verdict, fate),
-            "mode": mode,
-            "start_qpos": moved.qpos[0],
-        }
-        state_key = schema.state_key(config.privileged_state)
-        header = Header.of(moved, state_key)
-        kept = not config.dry_run and not outcome["left_out"]
-        if kept and not config.allow_unreachable:
-            check_reached(config.target, [entry])
-        encoded = encode_episode(encode(moved, state_key), header.features, moved.task) if kept else None
-        return Converted(plain(outcome), header, encoded)
-
-    def _left_out(self, inside: bool, unreachable: bool, verdict: Verdict | None, fate: str) -> str:
-        """Why an episode is left out of the dataset; empty if it is not. Recorded ones that are unreachable end the conversion."""
-        if not inside:
-            return "outside the workspace"
-        if unreachable and not self._config.allow_unreachable:
-            return "out of reach"
-        if verdict is not None and verdict.dropped:
-            return "fails"
-        return LOW_QUALITY if fate == DROPPED else ""
+        return self._encode(self._judge(self._retarget(self._read(position))))
 
 
 def open_reader(config: ConvertConfig) -> Source:

@@ -8,11 +8,12 @@ import numpy as np
 
 from cei_converters.cli.table import print_table
 from cei_converters.conversion.augment import check_left, count, counted
+from cei_converters.conversion.episode import Outcome
 from cei_converters.conversion.gate import LOW_QUALITY, in_words
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.reach import spans
 from cei_converters.conversion.shard import Shard
-from cei_converters.conversion.verify import Verdict, check_kept, sentence, summarise
+from cei_converters.conversion.verify import check_kept, sentence, summarise
 from cei_converters.conversion.workplace import Workplace
 
 # a table of more rows is nobody's to read
@@ -20,15 +21,15 @@ _ROWS, _WORST = 50, 20
 _BECAUSE, _PENETRATES = "unreachable_because", "penetrates"
 
 
-def outcomes(place: Workplace, plan: Plan) -> Iterator[dict[str, Any]]:
-    """What became of each episode, in order; see `Converted`."""
+def outcomes(place: Workplace, plan: Plan) -> Iterator[Outcome]:
+    """What became of each episode, in order."""
     for shard in range(len(plan.shards)):
         yield from Shard(place.shard(shard)).outcomes
 
 
 def residuals(place: Workplace, plan: Plan) -> Iterator[dict[str, Any]]:
     """Of each episode that is kept, in order: `episode`, and how far pads are apart frame by frame."""
-    return (outcome["residuals"] for outcome in outcomes(place, plan) if not outcome["left_out"])
+    return (outcome.residuals for outcome in outcomes(place, plan) if not outcome.left_out)
 
 
 @dataclass(frozen=True)
@@ -67,16 +68,16 @@ def account(place: Workplace, plan: Plan, title: str) -> Account:
     """
     entries, rows, verdicts, left_out, scored = [], [], [], [], []
     for outcome in outcomes(place, plan):
-        entry, reason = outcome["entry"], outcome["left_out"]
+        entry, reason = outcome.entry, outcome.left_out
         left_out.append(reason)
         if not reason:
             entries.append(entry)
         if reason in ("", LOW_QUALITY):
             scored.append(entry)
-        row = entry | {"flagged": "yes" if outcome["record"].get("flagged") else None, "left_out": reason or None}
-        if outcome["verdict"] is not None:
-            verdicts.append(Verdict(**outcome["verdict"]))
-            row |= verdicts[-1].row()
+        row = entry | {"flagged": "yes" if outcome.record.get("flagged") else None, "left_out": reason or None}
+        if outcome.verdict is not None:
+            verdicts.append(outcome.verdict)
+            row |= outcome.verdict.row()
         rows.append(row)
     _print_rows(rows, title)
     _print_faults(rows)

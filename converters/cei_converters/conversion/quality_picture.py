@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -12,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cei_converters.conversion.converter import Converter
+from cei_converters.conversion.episode import Outcome, Worst
 from cei_converters.conversion.gate import DROPPED, FLAGGED, KEPT, Gate
 from cei_converters.view.episode import Side, View, make_side
 from cei_converters.view.sheet import draw_moments
@@ -24,24 +24,24 @@ _BINS = [i / 20 for i in range(21)]
 _DPI = 100
 
 
-def write_summary(path: Path, outcomes: Iterable[dict[str, Any]], gate: Gate, converter: Converter) -> None:
+def write_summary(path: Path, outcomes: Iterable[Outcome], gate: Gate, converter: Converter) -> None:
     """Draw scores and parts of all converted episodes, dropped ones included, and the worst ones where they are worst.
 
     Args:
         path: PNG to write.
-        outcomes: of the episodes; see `Converted`.
+        outcomes: of the episodes.
         gate: what became of which.
         converter: that converted them.
     """
     measured, fates = [], []
-    worst: list[tuple[float, int, dict[str, Any]]] = []  # score, position, outcome
+    worst: list[tuple[float, int, Outcome]] = []  # score, position, outcome
     for position, outcome in enumerate(outcomes):
-        quality = outcome["record"]["quality"]
+        quality = outcome.record["quality"]
         measured.append((quality["score"], *quality["parts"].values()))
         fates.append(_fate(outcome, gate))
         worst = sorted([*worst, (quality["score"], position, outcome)], key=lambda each: each[:2])[:_WORST]
-    names, values = list(worst[0][2]["record"]["quality"]["parts"]), np.array(measured)
-    pictures = _portraits([outcome["worst"] for _, _, outcome in worst], converter)
+    names, values = list(worst[0][2].record["quality"]["parts"]), np.array(measured)
+    pictures = _portraits([outcome.worst for _, _, outcome in worst], converter)
     with mpl.rc_context(mpl.rcParamsDefault):  # whatever the user's own style is
         figure = Figure(figsize=(15, 8.7), dpi=_DPI, layout="constrained")
         above, below = figure.subfigures(2, 1, height_ratios=(1, 1.9), squeeze=False)[:, 0]
@@ -61,8 +61,8 @@ def write_summary(path: Path, outcomes: Iterable[dict[str, Any]], gate: Gate, co
         figure.savefig(path, metadata={"Software": None})
 
 
-def _fate(outcome: dict[str, Any], gate: Gate) -> str:
-    return DROPPED if outcome["left_out"] else gate.fate(outcome["record"]["quality"]["score"])
+def _fate(outcome: Outcome, gate: Gate) -> str:
+    return DROPPED if outcome.left_out else gate.fate(outcome.record["quality"]["score"])
 
 
 def _draw_scores(axes: Axes, scores: np.ndarray, fates: Sequence[str], gate: Gate) -> None:
@@ -94,8 +94,8 @@ def _draw_parts(axes: Axes, names: Sequence[str], parts: np.ndarray, fates: Sequ
     axes.grid(axis="x", alpha=0.3)
 
 
-def _draw_worst(axes: Axes, outcome: dict[str, Any], fate: str, picture: np.ndarray) -> None:
-    entry, frame = outcome["entry"], outcome["worst"]["frame"]
+def _draw_worst(axes: Axes, outcome: Outcome, fate: str, picture: np.ndarray) -> None:
+    entry, frame = outcome.entry, outcome.worst.frame
     axes.imshow(picture)
     axes.set(xticks=[], yticks=[])
     title = f"episode {entry['episode']}: {entry['quality']:.2f}\n{entry['weakest']}, frame {frame}"
@@ -104,12 +104,12 @@ def _draw_worst(axes: Axes, outcome: dict[str, Any], fate: str, picture: np.ndar
     )
 
 
-def _portraits(worst: Sequence[dict[str, Any]], converter: Converter) -> list[np.ndarray]:
+def _portraits(worst: Sequence[Worst], converter: Converter) -> list[np.ndarray]:
     """The target at one frame of each episode, its pads and the source's: (H, W, 3) uint8 each."""
-    scene, frames = converter.reader.scene, np.array([each["frame"] for each in worst])
+    scene, frames = converter.reader.scene, np.array([each.frame for each in worst])
 
     def side(role: str, embodiment: Embodiment, T_world_base: np.ndarray) -> Side:
-        qpos = np.array([each[f"qpos_{role}"] for each in worst])
+        qpos = np.array([getattr(each, f"qpos_{role}") for each in worst])
         demonstration = Demonstration(embodiment.name, 1.0, qpos, qpos, replace(scene, T_world_base=T_world_base))
         return make_side(role, embodiment, demonstration, frames)
 

@@ -6,34 +6,18 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import draccus
 import pyarrow as pa
 
+from cei_converters.conversion.episode import Converted, Outcome
 from cei_converters.dataset.episodes import EncodedEpisode
 from cei_converters.dataset.metadata import plain
 from cei_converters.dataset.writer import Header
 
 _FRAMES, _EPISODES, _PROGRESS = "frames.arrow", "episodes.json", "progress"
-
-
-@dataclass(frozen=True)
-class Converted:
-    """A converted episode.
-
-    Attributes:
-        outcome: JSON types: `entry` (for the table; its `episode` is the index in the source), `record` (see `records`),
-            `residuals`, `worst` (where its quality is lowest), `verdict` or None, `left_out` (why, or empty), `mode`, `start_qpos`.
-        header: what it shares with the others.
-        encoded: what is stored; None if it is left out.
-    """
-
-    outcome: dict[str, Any]
-    header: Header
-    encoded: EncodedEpisode | None
 
 
 class ShardWriter:
@@ -58,7 +42,7 @@ class ShardWriter:
     def add(self, converted: Converted) -> None:
         """Append an episode."""
         self._header = self._header or converted.header
-        stored: dict[str, Any] = {"outcome": converted.outcome, "rows": None}
+        stored: dict[str, Any] = {"outcome": converted.outcome.encode(), "rows": None}
         if (encoded := converted.encoded) is not None:
             if self._file is None:
                 self._file = pa.ipc.new_file(self._partial / _FRAMES, encoded.table.schema)
@@ -66,7 +50,7 @@ class ShardWriter:
             self._file.write_batch(batch)
             stored |= {"rows": batch.num_rows, "task": encoded.task}
         self._episodes.append(stored)
-        self._frames += converted.outcome["entry"]["frames"]
+        self._frames += converted.outcome.entry["frames"]
         (self._partial / _PROGRESS).write_text(str(self._frames))
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
@@ -102,6 +86,8 @@ class Shard:
             found = json.loads((folder / _EPISODES).read_text())
             self._sha256: str | None = found["sha256"]
             self._episodes: list[dict[str, Any]] = found["episodes"]
+            self.outcomes = [Outcome.decode(stored["outcome"]) for stored in self._episodes]
+            """One an episode, those that are left out included."""
             for feature in found["header"]["features"].values():
                 feature["shape"] = tuple(feature["shape"])
             self.header: Header = draccus.decode(Header, found["header"])
@@ -117,21 +103,16 @@ class Shard:
         if self._sha256 != _sha256(self._folder):
             raise OSError(f"{self._folder} is damaged; --resume makes it again.")
 
-    @property
-    def outcomes(self) -> list[dict[str, Any]]:
-        """One an episode, dropped ones included."""
-        return [stored["outcome"] for stored in self._episodes]
-
     def __iter__(self) -> Iterator[Converted]:
         batches = iter(())
         if (self._folder / _FRAMES).exists():
             file = pa.ipc.open_file(pa.memory_map(str(self._folder / _FRAMES)))
             batches = (file.get_batch(i) for i in range(file.num_record_batches))
-        for stored in self._episodes:
+        for stored, outcome in zip(self._episodes, self.outcomes, strict=True):
             encoded = None
             if stored["rows"] is not None:
                 encoded = EncodedEpisode(pa.Table.from_batches([next(batches)]), task=stored["task"])
-            yield Converted(stored["outcome"], self.header, encoded)
+            yield Converted(outcome, self.header, encoded)
 
 
 def frames_done(folder: Path) -> int:

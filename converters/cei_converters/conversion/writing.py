@@ -20,7 +20,7 @@ from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
     from cei_converters.conversion.config import ConvertConfig
-    from cei_converters.conversion.shard import Converted
+    from cei_converters.conversion.episode import Converted
     from cei_converters.conversion.workplace import Workplace
     from cei_converters.sources.source import Source
 
@@ -159,14 +159,14 @@ def write(
     ) as writer:
         for converted in _converted(place, len(plan.shards), go_on):
             if converted.encoded is not None:
-                index, frames = converted.outcome["entry"]["episode"], converted.outcome["record"].get("source_frames")
+                index, frames = converted.outcome.entry["episode"], converted.outcome.record.get("source_frames")
                 frames = None if frames is None else np.array(frames)
                 pictures = reader.pictures(index) if reader and cameras else Pictures()
                 columns = reader.carry(index) if reader else Carried()
                 writer.append(
                     converted.header,
                     converted.encoded,
-                    converted.outcome["record"],
+                    converted.outcome.record,
                     pictures.at(frames),
                     columns.at(frames),
                 )

@@ -1,0 +1,222 @@
+"""The steps of a conversion, from an episode's place to what is stored of it: read, augment, retarget (and verify), judge, encode.
+
+Packages add steps by the entry point group `cei_gym.steps`, and `--steps` has them run, in the workers: those that change what is
+recorded (`OnRecorded`) after augmentation, those that change what is retargeted (`OnRetargeted`; new pictures, say) before it is judged.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from cei_converters.conversion.augment import Augmentation
+from cei_converters.conversion.episode import Converted, Judged, Outcome, Recorded, Retargeted, Worst
+from cei_converters.conversion.gate import DROPPED, FLAGGED, LOW_QUALITY, Gate
+from cei_converters.conversion.reach import check_reached
+from cei_converters.dataset.columns import encode
+from cei_converters.dataset.episodes import encode_episode
+from cei_converters.dataset.metadata import plain
+from cei_converters.dataset.writer import Header
+from cei_gym import plugins
+from cei_gym.alignment import assess
+from cei_gym.errors import CEIError
+
+if TYPE_CHECKING:
+    from cei_converters.conversion.verify import Verifier
+    from cei_converters.sources.source import Source
+    from cei_gym.transfer import Transfer
+
+GROUP = "cei_gym.steps"
+"""Entry points of steps that packages offer."""
+_OF_THE_SOURCE = ("verified", "source_frames", "flagged", "offset")
+
+
+class Step:
+    """A step that a package adds; made once in each process that converts.
+
+    Args:
+        transfer: between which embodiments; fitted by the time the step is called.
+    """
+
+    def __init__(self, transfer: "Transfer") -> None:
+        self.transfer = transfer
+
+
+class OnRecorded(Step, ABC):
+    """A step that changes what is recorded, before it is retargeted."""
+
+    @abstractmethod
+    def __call__(self, episode: Recorded) -> Recorded:
+        """The episode with a change.
+
+        Raises:
+            CEIError: it cannot be had; the conversion ends.
+        """
+
+
+class OnRetargeted(Step, ABC):
+    """A step that changes what is retargeted, before it is judged and stored."""
+
+    @abstractmethod
+    def __call__(self, episode: Retargeted) -> Retargeted:
+        """The episode with a change: of its demonstration, as a rule.
+
+        Raises:
+            CEIError: it cannot be had; the conversion ends.
+        """
+
+
+def check_steps(names: Sequence[str]) -> None:
+    """Check that steps can be had.
+
+    Raises:
+        CEIError: nobody offers one, or it is no step.
+    """
+    for name in names:
+        kind = plugins.load(GROUP, name, Step, "step")
+        if not issubclass(kind, (OnRecorded, OnRetargeted)):
+            raise CEIError(f"step {name!r} should be an OnRecorded or OnRetargeted of {__name__}.")
+
+
+def make_steps(names: Sequence[str], transfer: "Transfer") -> list[Step]:
+    """Steps by name, in that order; see `check_steps`."""
+    check_steps(names)
+    return [plugins.load(GROUP, name, Step, "step")(transfer) for name in names]
+
+
+@dataclass(frozen=True)
+class Read:
+    """From an episode's place to what is recorded, augmented if that is asked for."""
+
+    reader: "Source"
+    selected: Sequence[int]
+    augmentation: Augmentation | None
+    then: Sequence[OnRecorded]
+
+    def __call__(self, position: int, colours: bool = True) -> Recorded:
+        index = self.selected[position]
+        read = Recorded(position, index, self.reader.read(index, colours=colours))
+        if self.augmentation is not None:
+            variant = position % len(self.augmentation)
+            moved, offset, inside = self.augmentation(read.demonstration, variant)
+            read = replace(read, demonstration=moved, offset=offset, inside=inside)
+        for step in self.then:
+            read = step(read)
+        return read
+
+
+@dataclass(frozen=True)
+class Retarget:
+    """From what is recorded to the target's, verified by replay if that is asked for."""
+
+    transfer: "Transfer"
+    verifier: "Verifier | None"
+    modes: int
+    clouds: bool
+    then: Sequence[OnRetargeted]
+
+    def __call__(self, recorded: Recorded) -> Retargeted:
+        mode = recorded.position % self.modes  # motions take turns: a dataset is an even mixture
+        if self.verifier is None:
+            moved, report = self.transfer(recorded.demonstration, mode, clouds=self.clouds)
+            verdict = None
+        else:
+            moved, report, verdict = self.verifier(recorded.demonstration, mode)
+        made = Retargeted(recorded, mode, moved, report, verdict)
+        for step in self.then:
+            made = step(made)
+        return made
+
+
+@dataclass(frozen=True)
+class Judge:
+    """What becomes of an episode."""
+
+    gate: Gate
+    allow_unreachable: bool
+
+    def __call__(self, made: Retargeted) -> Judged:
+        quality = assess(made.report)
+        decision = self.gate.fate(quality.score)
+        return Judged(made, quality, decision == FLAGGED, self._left_out(made, decision))
+
+    def _left_out(self, made: Retargeted, decision: str) -> str:
+        """Why it is left out of the dataset; empty if it is not. Recorded ones that are unreachable end the conversion."""
+        recorded = made.recorded
+        if not recorded.inside:
+            return "outside the workspace"
+        if recorded.offset is not None and made.report.unreachable_frames and not self.allow_unreachable:
+            return "out of reach"
+        if made.verdict is not None and made.verdict.dropped:
+            return "fails"
+        return LOW_QUALITY if decision == DROPPED else ""
+
+
+@dataclass(frozen=True)
+class Encode:
+    """From what is judged to what is stored of it."""
+
+    reader: "Source"
+    target: str
+    state_key: str
+    modes: int
+    allow_unreachable: bool
+    dry_run: bool
+
+    def __call__(self, judged: Judged) -> Converted:
+        outcome = self._outcome(judged)
+        moved = judged.retargeted.demonstration
+        header = Header.of(moved, self.state_key)
+        kept = not self.dry_run and not judged.left_out
+        if kept and not self.allow_unreachable:
+            check_reached(self.target, [outcome.entry])
+        encoded = encode_episode(encode(moved, self.state_key), header.features, moved.task) if kept else None
+        return Converted(outcome, header, encoded)
+
+    def _outcome(self, judged: Judged) -> Outcome:
+        made, quality = judged.retargeted, judged.quality
+        moved, report, verdict, recorded = made.demonstration, made.report, made.verdict, made.recorded
+        summary = report.summary() | ({"mode": made.mode} if self.modes > 1 else {})
+        offset = {} if recorded.offset is None else {"offset": plain(recorded.offset)}
+        figures = recorded.demonstration.figures
+        entry = {
+            "episode": recorded.index,
+            **offset.get("offset", {}),
+            "frames": len(moved),
+            **figures,
+            **summary,
+            "quality": quality.score,
+            "weakest": quality.weakest,
+        }
+        known = {
+            name: value for name, value in self.reader.record(recorded.index).items() if name not in _OF_THE_SOURCE
+        }
+        record = {
+            **known,
+            "source_episode": recorded.index,
+            **offset,
+            "quality": {"score": quality.score, "parts": quality.parts},
+            **({"flagged": True} if judged.flagged else {}),
+            **({} if verdict is None else {"verified": verdict.record()}),
+            **({} if moved.source_frames is None else {"source_frames": moved.source_frames.tolist()}),
+            **figures,
+            "alignment": summary,
+        }
+        worst = quality.frame
+        of_source = worst if moved.source_frames is None else moved.source_frames[worst]
+        return Outcome(
+            plain(entry),
+            plain(record),
+            plain(
+                {
+                    "episode": recorded.index,
+                    "pad_distance_mm": report.pad_distance_mm,
+                    "normal_angle_deg": report.normal_angle_deg,
+                }
+            ),
+            Worst(worst, plain(recorded.demonstration.qpos[of_source]), plain(moved.qpos[worst])),
+            verdict,
+            judged.left_out,
+            made.mode,
+            plain(moved.qpos[0]),
+        )
