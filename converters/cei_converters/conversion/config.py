@@ -35,9 +35,7 @@ class ConvertConfig:
     target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
-    steps: list[str] | None = (
-        None  # Steps of installed packages (entry points of cei_gym.steps), in this order, such as [paint].
-    )
+    steps: list[str] | None = None  # Steps of installed packages, in this order, such as [paint].
     allow_unreachable: bool = False  # Keep episodes in which the target cannot reach every frame.
     privileged_state: bool = False  # Let policies see the state of objects, as observation.environment_state.
     min_quality: float | None = None  # Leave out episodes whose quality, from 0 to 1, is lower.
