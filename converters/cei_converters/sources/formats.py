@@ -2,7 +2,7 @@
 
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.joint_map import load_joint_map
 from cei_converters.sources.recording import Recordings
 from cei_converters.sources.source import Source
+from cei_gym import plugins
 from cei_gym.errors import CEIError, one_line
 
 
@@ -26,6 +27,8 @@ def open_source(
     joints_only: bool = False,
 ) -> Source:
     """Open recorded episodes of any format that is read.
+
+    A package reads formats of its own by an entry point of the group `cei_gym.sources`.
 
     Args:
         repo_id: name of the dataset.
@@ -49,6 +52,8 @@ def open_source(
         "joint_map": mapped,
     }
     kind = _kind(root)
+    if kind not in (LEROBOT, HDF5, ZARR):
+        return _load(kind)(repo_id, str(root), **options)
     if kind == HDF5:
         from cei_converters.sources.robomimic import RobomimicSource
 
@@ -91,6 +96,8 @@ def read_recordings(
     kind = _kind(root)
     if kind != LEROBOT and (state != schema.STATE or action not in (None, schema.ACTION)):
         raise CEIError(f"{root} has none of LeRobot's features to look at; leave out --state and --action.")
+    if kind not in (LEROBOT, HDF5, ZARR):
+        raise CEIError(f"{root} is read by {kind!r} of an installed package, which says itself what its columns are.")
     if kind == HDF5:
         from cei_converters.sources.robomimic import recordings
 
@@ -104,6 +111,8 @@ def read_recordings(
     return recordings(repo_id, root, most, state, action)
 
 
+GROUP = "cei_gym.sources"
+"""Entry points of formats that packages read: each a `Source` with `recognises`, made with the arguments of `open_source`."""
 LEROBOT, HDF5, ZARR = "LeRobot", "HDF5", "zarr"
 _HDF5_SUFFIXES = (".hdf5", ".h5", ".hdf")
 _PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".zst")
@@ -120,18 +129,34 @@ def _kind(root: str | Path | None) -> str:
     if root is None:
         return LEROBOT
     path = Path(root)
-    if path.is_file():
-        return _kind_of_file(path)
+    if path.is_file() and (path.suffix.lower() in _HDF5_SUFFIXES or _starts_as_hdf5(path)):
+        return HDF5
     if any((path / mark).is_file() for mark in _MARKS):
         return ZARR
+    if path.exists() and not (path / INFO_PATH).is_file() and (offered := _offered(path)) is not None:
+        return offered
+    if path.is_file():
+        _refuse_file(path)
     if path.is_dir() and not (path / INFO_PATH).is_file():
         _refuse_folder(path)
     return LEROBOT
 
 
-def _kind_of_file(path: Path) -> str:
-    if path.suffix.lower() in _HDF5_SUFFIXES or _starts_as_hdf5(path):
-        return HDF5
+def _offered(path: Path) -> str | None:
+    """The name of an installed package's format that a path is in, if any; ours come first."""
+    return next((name for name in plugins.offered(GROUP) if _load(name).recognises(path)), None)
+
+
+def _load(name: str) -> Any:
+    return plugins.load(GROUP, name, Source, "source")
+
+
+def _refuse_file(path: Path) -> NoReturn:
+    """Say what a file is that is no dataset.
+
+    Raises:
+        CEIError: always.
+    """
     if path.suffix.lower() in _PACKED:
         raise CEIError(f"{path} is packed; unpack it, and give --dataset.root the folder or file that comes out.")
     for folder in (path.parent, *path.parent.parents):
@@ -139,6 +164,7 @@ def _kind_of_file(path: Path) -> str:
             raise CEIError(f"{path} is a file of a dataset; give --dataset.root the dataset's folder, {folder}.")
     raise CEIError(
         f"{path} is of no format that is read: folders of LeRobot, HDF5 of robosuite and robomimic, zarr of DP3 and DemoGen."
+        + (f" And what installed packages read: {', '.join(names)}." if (names := plugins.offered(GROUP)) else "")
     )
 
 

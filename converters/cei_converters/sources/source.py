@@ -74,6 +74,11 @@ class Source(ABC):
     carried: dict[str, dict]
     dropped: dict[str, str]
 
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether what a path holds, which is none of our own formats, is of this one; for formats of other packages (`formats`)."""
+        return False
+
     @property
     def tasks(self) -> list[str]:
         """All of the dataset's, in the order of their numbers, where it has them; else none."""

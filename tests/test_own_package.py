@@ -1,0 +1,194 @@
+"""A package of one's own (`examples/own_package`), built and put on the path: its solver, step, format and task are found and used.
+
+Also what is refused: contracts that are not kept.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cei_converters.conversion.steps import OnRecorded
+from cei_converters.sources.reader import DatasetReader
+from cei_envs.environment import CEIEnv
+from cei_envs.experts import Expert
+from cei_envs.tasks.pick_cube import PickCubeEnv
+from cei_gym import plugins
+from cei_gym.alignment import Solver, SolverOptions
+from cei_gym.embodiment import load_embodiment
+from cei_gym.errors import CEIError
+
+PACKAGE = Path(__file__).parents[1] / "examples/own_package"
+ROBOT, TARGET = "Panda-PandaGripper", "UR5e-PandaGripper"
+FRAMES = 8
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """An environment in which the package is installed: its wheel, unpacked on the path."""
+    folder = tmp_path_factory.mktemp("own_package")
+    build = [
+        sys.executable,
+        "-m",
+        "build",
+        "--wheel",
+        "--no-isolation",
+        "--skip-dependency-check",
+        "--outdir",
+        str(folder),
+    ]
+    subprocess.run([*build, str(PACKAGE)], check=True, capture_output=True)
+    (wheel,) = folder.glob("*.whl")
+    with zipfile.ZipFile(wheel) as file:
+        file.extractall(folder / "site")
+    path = [str(folder / "site"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path)}
+
+
+def run(environment: dict[str, str], *command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True)
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes in the package's own format."""
+    folder, body = tmp_path_factory.mktemp("csv"), load_embodiment(ROBOT)
+    (folder / "robot.txt").write_text(ROBOT)
+    for episode in range(2):
+        qpos = body.home + np.linspace(0, 0.1, FRAMES)[:, None] * (np.arange(len(body.home)) == episode)
+        np.savetxt(folder / f"episode_{episode}.csv", qpos, delimiter=",")
+    return folder
+
+
+def convert(environment: dict[str, str], recordings: Path, new: Path, *options: str):
+    common = [f"--dataset.root={recordings}", f"--target={TARGET}", "--init.starts=8", "--init.basins=1"]
+    names = ["--dataset.repo_id=lab/csv", "--new_repo_id=me/new", f"--new_root={new}"]
+    return run(environment, "-m", "cei_converters.start", "convert", *names, *common, "--allow_unreachable", *options)
+
+
+def test_its_format_is_read_its_step_and_solver_are_used(
+    installed: dict[str, str], recordings: Path, tmp_path: Path
+) -> None:
+    new = tmp_path / "new"
+    result = convert(
+        installed, recordings, new, "--steps=[quiet_start]", "--solver.backend=gradient", "--solver.iterations=5"
+    )
+    assert result.returncode == 0, result.stderr
+    reader = DatasetReader("me/new", new)
+    assert len(reader) == 2 and reader.embodiment.name == TARGET
+    options = json.loads((new / "meta/cei.json").read_text())["provenance"]["options"]
+    assert options["steps"] == ["quiet_start"] and options["solver"]["backend"] == "gradient"
+    for index in range(2):
+        shown = reader.record(index)["source_frames"]
+        assert shown[:5] == [0] * 5 and shown[-1] == FRAMES - 1
+        assert len(reader.read(index)) == len(shown) >= FRAMES + 5
+
+
+def test_its_task_is_recorded_by_its_expert(installed: dict[str, str], tmp_path: Path) -> None:
+    root = tmp_path / "touched"
+    options = ["--env=CEI-TouchCube-Panda-PandaGripper", "--episodes=1", "--repo_id=me/touched", f"--root={root}"]
+    result = run(installed, "-m", "cei_converters.start", "record", *options)
+    assert result.returncode == 0, result.stderr
+    assert DatasetReader("me/touched", root).read(0).task == "Touch the cube."
+    code = "import gymnasium as gym, cei_gym; print(gym.spec('CEI-TouchCube-IIWA-Inspire').max_episode_steps)"
+    assert run(installed, "-c", code).stdout.split()[-1] == "200"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--steps=[loud_start]"], "unknown step 'loud_start'. Did you mean 'quiet_start'? Valid: quiet_start."),
+        (
+            ["--solver.backend=gradients"],
+            "unknown solver.backend 'gradients'. Did you mean 'gradient'? Valid: auto, numba, torch, paper, gradient.",
+        ),
+    ],
+)
+def test_what_nobody_offers_is_refused_with_what_there_is(
+    options: list[str], message: str, installed: dict[str, str], recordings: Path, tmp_path: Path
+) -> None:
+    result = convert(installed, recordings, tmp_path / "new", *options)
+    assert result.returncode and message in " ".join(result.stderr.split())
+    assert not (tmp_path / "new").exists()
+
+
+def test_without_the_package_its_format_is_none(recordings: Path, tmp_path: Path) -> None:
+    result = convert(dict(os.environ), recordings, tmp_path / "new")
+    assert result.returncode and len(result.stderr.splitlines()) == 1
+    assert "meta/info.json" in result.stderr
+
+
+# -- contracts ------------------------------------------------------------------------------------------------------
+
+
+def test_what_lacks_a_part_is_not_made() -> None:
+    class Lazy(Solver):
+        def track(self, *args, **kwargs):
+            raise NotImplementedError
+
+    class Idle(OnRecorded):
+        pass
+
+    class Silent(Expert):
+        def plan(self, agent_pos, environment_state):
+            return np.zeros((1, 1))
+
+    class Endless(CEIEnv):
+        task, task_text, state_names = "Endless", "Go on.", ()
+
+    for kind, missing in ((Lazy, "track_all"), (Idle, "__call__"), (Silent, "describe"), (Endless, "is_done")):
+        with pytest.raises(TypeError, match=rf"abstract.*{missing}"):
+            kind(None)  # pyright: ignore
+
+
+def test_a_task_without_words_is_not_made() -> None:
+    class Mute(CEIEnv):
+        task, state_names = "Mute", ()
+
+    for name in CEIEnv.__abstractmethods__:
+        setattr(Mute, name, getattr(PickCubeEnv, name))
+    Mute.__abstractmethods__ = frozenset()
+    with pytest.raises(CEIError, match=r"^Mute has no task_text; a task says it"):
+        Mute(ROBOT)
+
+
+class Point:
+    """An entry point."""
+
+    def __init__(self, name: str, value: str) -> None:
+        self.name, self.value = name, value
+
+    def load(self) -> object:
+        module, _, attribute = self.value.partition(":")
+        return getattr(__import__(module, fromlist=[attribute]), attribute)
+
+
+@pytest.fixture
+def offered(monkeypatch: pytest.MonkeyPatch):
+    def offer(*points: Point) -> None:
+        monkeypatch.setattr(plugins, "entry_points", lambda group: points)
+        plugins.offered.cache_clear()
+
+    yield offer
+    plugins.offered.cache_clear()
+
+
+def test_two_packages_that_offer_one_name_are_refused(offered) -> None:
+    offered(Point("fast", "json:dumps"), Point("fast", "json:loads"))
+    with pytest.raises(CEIError, match=r"^two packages offer 'fast' of cei_gym.solvers: .*; uninstall one\.$"):
+        SolverOptions(backend="fast")
+
+
+def test_what_cannot_be_imported_or_is_something_else_is_refused(offered) -> None:
+    offered(Point("gone", "no_such_module:Solver"), Point("other", "json:JSONDecoder"))
+    with pytest.raises(CEIError, match=r"^solver 'gone' cannot be imported from no_such_module:Solver: No module"):
+        plugins.load("cei_gym.solvers", "gone", Solver, "solver")
+    with pytest.raises(
+        CEIError, match=r"^solver 'other', json:JSONDecoder, should be a cei_gym.alignment.solver.Solver\.$"
+    ):
+        plugins.load("cei_gym.solvers", "other", Solver, "solver")
