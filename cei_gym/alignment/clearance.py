@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numba import njit
 
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.problem import ClearanceOptions
+from cei_gym.compiled import njit
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
 
 SUPPORT, STAND, OBJECT = "the support surface", "its stand", "an object"

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy.spatial import Delaunay, QhullError
 
+from cei_gym.compiled import njit
 from cei_gym.embodiment.meshes import outermost
 from cei_gym.functional.palmar import within_extent
 from cei_gym.functional.representation import FunctionalRepresentation, pad_mesh

@@ -10,7 +10,6 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
 from cei_gym.alignment.kernels.distance import evaluate
 from cei_gym.alignment.kernels.frame import Settings, empty_memory, solve_frame
@@ -19,6 +18,7 @@ from cei_gym.alignment.kernels.target import load_source, make_target
 from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
 from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Surroundings, Track
 from cei_gym.alignment.solver import SecondOrderSolver
+from cei_gym.compiled import njit
 
 _FULL_SPEED = 0.999
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import trimesh
-from numba import njit
 
+from cei_gym.compiled import njit
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.spec import Pad
 from cei_gym.errors import CEIError

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numba import njit
 from scipy.spatial.transform import Rotation
 
+from cei_gym.compiled import njit
 from cei_gym.embodiment.embodiment import Embodiment
 
 

@@ -1,8 +1,8 @@
 """Keeps the workspace (paper, section IV-C: "remove points that lie outside the defined workspace")."""
 
 import numpy as np
-from numba import njit
 
+from cei_gym.compiled import njit
 from cei_gym.errors import CEIError
 
 

@@ -1,6 +1,6 @@
 """Distance from a point to a triangle."""
 
-from numba import njit
+from cei_gym.compiled import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

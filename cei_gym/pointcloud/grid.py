@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cei_gym.compiled import njit
 from cei_gym.pointcloud.distance import square_distance
 
 _MOST_CELLS = 8_000_000  # 32 MB

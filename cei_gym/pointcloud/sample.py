@@ -5,9 +5,9 @@ from typing import cast
 
 import numpy as np
 import trimesh
-from numba import njit
 from trimesh.visual import ColorVisuals
 
+from cei_gym.compiled import njit
 from cei_gym.errors import CEIError
 
 

@@ -1,8 +1,8 @@
 """A fixed number of well-spread points (the paper's policies see clouds of 1024)."""
 
 import numpy as np
-from numba import njit
 
+from cei_gym.compiled import njit
 from cei_gym.errors import CEIError
 
 _BLOCK = 128

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numba import njit
 from scipy.spatial.transform import Rotation
 
+from cei_gym.compiled import njit
 from cei_gym.demonstration import Camera
 from cei_gym.errors import CEIError, unknown
 

@@ -6,9 +6,9 @@ an image is ((W - 1) / 2, (H - 1) / 2).
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
+from cei_gym.compiled import njit
 from cei_gym.demonstration import Camera
 from cei_gym.errors import CEIError, unknown
 

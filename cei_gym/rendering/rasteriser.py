@@ -1,7 +1,8 @@
 """A z-buffer in compiled loops: inverse depth and geom id of the nearest triangle at every pixel centre."""
 
 import numpy as np
-from numba import njit
+
+from cei_gym.compiled import njit
 
 
 @njit(cache=True, nogil=True)

@@ -1,9 +1,9 @@
 """The Directional Chamfer Distance of one configuration, equation (1): kinematics, pads, matching."""
 
 import numpy as np
-from numba import njit
 
 from cei_gym.alignment.kernels.target import FINITE, empty_pose, empty_source, load_source, radius
+from cei_gym.compiled import njit
 from cei_gym.kinematics.tree import rotate
 
 

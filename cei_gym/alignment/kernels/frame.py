@@ -6,13 +6,13 @@ A step is kept only if the true objective falls, matches renewed.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cei_gym.alignment.kernels.distance import evaluate
 from cei_gym.alignment.kernels.keep_out import penalise
 from cei_gym.alignment.kernels.quadratic import Quadratic, add_distance, empty_quadratic, project
 from cei_gym.alignment.kernels.step import StepMemory, empty_step, take_step
 from cei_gym.alignment.kernels.target import Pose, Source, empty_pose, empty_source, load_source
+from cei_gym.compiled import njit
 
 _DAMPING = 1e-3
 _DAMPING_TRIES = 8

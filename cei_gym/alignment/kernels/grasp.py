@@ -8,7 +8,6 @@ the middle of a tilted pad is brought to the object rather than its edge.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cei_gym.alignment.grip import SOFTNESS_M
 from cei_gym.alignment.kernels.distance import place_joints
@@ -17,6 +16,7 @@ from cei_gym.alignment.kernels.keep_out import KeepOut, nearest, penalise
 from cei_gym.alignment.kernels.quadratic import add_contact, project
 from cei_gym.alignment.kernels.step import take_step
 from cei_gym.alignment.kernels.target import empty_pose
+from cei_gym.compiled import njit
 
 _OPEN_M = 0.02  # this much wider than what it holds, a hand is open
 _DAMPING = 1e-3

@@ -8,11 +8,11 @@ Spheres fitted to links would be centimetres off at a palm's corners.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.quadratic import add_contact
 from cei_gym.alignment.kernels.target import empty_pose
+from cei_gym.compiled import njit
 
 
 class KeepOut(NamedTuple):

@@ -9,7 +9,8 @@ projected on the joints' screws, so no dense Jacobian is formed.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from cei_gym.compiled import njit
 
 _SMOOTHING_M = 1e-3
 

@@ -3,7 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from cei_gym.compiled import njit
 
 _LARGEST_STEP = 0.5  # rad or m a joint and iteration
 

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cei_gym.compiled import njit
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.functional.representation import FunctionalRepresentation
 from cei_gym.kinematics.joints import JointTree, reduce_to_joints
