@@ -180,3 +180,12 @@ def test_compiled_sums_have_one_order() -> None:
     assert len(compiled) > 40
     for name, each in compiled.items():
         assert each.targetoptions.get("fastmath", False) in (False, {"nnan", "ninf"}), name
+
+
+def test_the_names_that_a_user_needs_are_at_the_top_and_cost_nothing_before_they_are_used() -> None:
+    for name in cei_gym.__all__:
+        assert getattr(cei_gym, name).__name__ == name
+        assert name in dir(cei_gym)
+    with pytest.raises(AttributeError, match="no attribute 'Transfers'"):
+        _ = cei_gym.Transfers  # pyright: ignore
+    assert "numba" not in loaded("import cei_gym")
