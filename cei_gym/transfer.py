@@ -36,7 +36,6 @@ from cei_gym.alignment import (
 from cei_gym.augmentation import Handling
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
-from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
 from cei_gym.errors import CEIError, unknown
 from cei_gym.functional import VARIANTS, FunctionalRepresentation, directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree
@@ -159,7 +158,7 @@ class Transfer:
         self._reach = Reach(self.problem)
         self._sides = opposing_sides(self.source_representation, self._source_tree)
         self._source_pads = None if self._sides is None else pad_shapes(self.source_representation, self._sides)
-        self._root = next(i for i, name in enumerate(source.body_names) if name.startswith(END_EFFECTOR_PREFIX))
+        self._root = source.end_effector_root
         self._manual: ManualAlignment | None = None
         self._synthesiser = CloudSynthesiser(source, target, clouds)
         self.clouds = self._synthesiser.options

@@ -306,7 +306,8 @@ def test_what_robosuite_recorded_holds_the_cube_in_physics(target: str, known: b
             cube = [*position, *np.roll(quaternion_xyzw, 1), *[half_m] * 3, 8 * half_m**3 * 1000]
             moved, report = transfer(recorded, clouds=False)
             assert report.penetration_mm.max() < 2
-            entry, _ = stage.play(replace(moved, environment_state=np.tile(cube, (len(moved), 1))))
+            state = {"environment_state": np.tile(cube, (len(moved), 1)), "environment_state_names": ()}
+            entry, _ = stage.play(replace(moved, **state))
             assert entry["success"], entry
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.problem import ClearanceOptions
 from cei_gym.compiled import njit
-from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
+from cei_gym.embodiment.embodiment import Embodiment
 
 SUPPORT, STAND, OBJECT = "the support surface", "its stand", "an object"
 """What links may be in, beside each other."""
@@ -49,8 +49,8 @@ class Clearance:
     def __init__(self, embodiment: Embodiment, options: ClearanceOptions | None = None) -> None:
         options = options or ClearanceOptions()
         self._model = embodiment.model
-        self._names = [name.removeprefix(END_EFFECTOR_PREFIX) for name in embodiment.body_names]
-        self._hand = np.array([name.startswith(END_EFFECTOR_PREFIX) for name in embodiment.body_names])
+        self._names = embodiment.link_names
+        self._hand = embodiment.of_end_effector
         shapes = link_shapes(embodiment)
         counts = [len(vertices) for vertices in shapes.vertices_link]
         self._vertices = np.concatenate([np.zeros((0, 3)), *shapes.vertices_link])

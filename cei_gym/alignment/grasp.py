@@ -16,7 +16,6 @@ from cei_gym.alignment.kernels.distance import distances
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
 from cei_gym.alignment.problem import AlignmentProblem, ContactOptions, Motion, SolverOptions, Surroundings, Track
-from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
 from cei_gym.kinematics.joints import reduce_to_joints
 
 _ITERATIONS = 20
@@ -67,8 +66,7 @@ class GraspRefiner:
         target, _, away, pads = self._arrays
         _, around, elsewhere = self._surroundings(motion, grip, len(u))
         depth_m, which = kernels.overlaps(target, away, pads, *around, *elsewhere, np.ascontiguousarray(u, float))
-        names = [name.removeprefix(END_EFFECTOR_PREFIX) for name in self._problem.embodiment.body_names]
-        return depth_m, [names[body] for body in which]
+        return depth_m, [self._problem.embodiment.link_names[body] for body in which]
 
     def _grip(self, motion: Motion) -> Grip | None:
         """What there is to carry over; None without weight, or where source or target have no sides that close."""
@@ -91,7 +89,6 @@ class GraspRefiner:
         for body in pads.body:
             mean = problem.representation.normals_link[problem.representation.body == body].mean(axis=0)
             normals.append(attachment.rot[body] @ mean / np.linalg.norm(mean))
-        root = next(i for i, name in enumerate(embodiment.body_names) if name.startswith(END_EFFECTOR_PREFIX))
         grasp = kernels.Grasp(
             joint=attachment.joint[pads.body],
             side=side,
@@ -99,7 +96,7 @@ class GraspRefiner:
             start=np.concatenate([[0], np.cumsum([len(v) for v in vertices])]).astype(np.int64),
             vertices=np.concatenate(vertices),
             normals=np.stack(normals),
-            palm=int(attachment.joint[root]),
+            palm=int(attachment.joint[embodiment.end_effector_root]),
             hand=np.flatnonzero(embodiment.coupled.independent >= embodiment.n_arm),
             opposition=float(c.opposition_weight),
             facing=float(c.facing_weight),

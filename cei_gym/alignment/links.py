@@ -7,7 +7,7 @@ import numpy as np
 
 from cei_gym.alignment.kernels.keep_out import KeepOut
 from cei_gym.alignment.problem import AlignmentProblem, ClearanceOptions, Surroundings
-from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX, Embodiment
+from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.meshes import collision_geoms, geom_vertices, outermost, spread_directions
 from cei_gym.kinematics import KinematicTree
 from cei_gym.kinematics.joints import JointTree, reduce_to_joints
@@ -49,7 +49,7 @@ _known: WeakKeyDictionary[Embodiment, LinkShapes] = WeakKeyDictionary()
 
 
 def _link_shapes(embodiment: Embodiment) -> LinkShapes:
-    hand = np.array([name.startswith(END_EFFECTOR_PREFIX) for name in embodiment.body_names])
+    hand = embodiment.of_end_effector
     moving = KinematicTree(embodiment).arrays.body_joint >= 0
     bodies, vertices = [], []
     for body in np.flatnonzero(moving | hand):

@@ -7,7 +7,6 @@ import numpy as np
 
 from cei_gym.alignment.grip import opposing_sides
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
-from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
 
 _SAMPLES = 4096
 _NEAR_LIMIT = 1e-3  # rad or m
@@ -67,7 +66,7 @@ class Reach:
         bodies, of_body = np.unique(self._problem.representation.body, return_inverse=True)
         far_m = [distance_m[of_body == i].mean() for i in range(len(bodies))]
         worst = int(np.argmax(far_m))
-        pad = self._problem.embodiment.body_names[bodies[worst]].removeprefix(END_EFFECTOR_PREFIX)
+        pad = self._problem.embodiment.link_names[bodies[worst]]
         offset_m = float(np.linalg.norm(wanted.mean(axis=0) - points.mean(axis=0)))
         cause, remedy = self._cause(motion, track, frame, float(far_m[worst]), offset_m)
         return Miss(frame, pad, float(far_m[worst]), cause, remedy)

@@ -99,6 +99,21 @@ class Embodiment:
         """Names of the model's bodies, in its order (0 is the base frame)."""
         return tuple(self.model.body(i).name for i in range(self.model.nbody))
 
+    @cached_property
+    def of_end_effector(self) -> np.ndarray:
+        """(B,) bool, which of the model's bodies are the end-effector's; the first of them carries the others."""
+        return np.array([name.startswith(END_EFFECTOR_PREFIX) for name in self.body_names], bool)
+
+    @property
+    def end_effector_root(self) -> int:
+        """Index of the end-effector's first link."""
+        return int(np.argmax(self.of_end_effector))
+
+    @cached_property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of the model's bodies as their descriptions have them, without the end-effector's prefix."""
+        return tuple(_public(name) for name in self.body_names)
+
     def body_id(self, name: str) -> int:
         """Index of a link; end-effector links may be named without their prefix."""
         names = self.body_names

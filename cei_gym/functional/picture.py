@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from cei_gym.demonstration import Camera
 from cei_gym.embodiment import Embodiment
-from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
 from cei_gym.functional.representation import FunctionalRepresentation
 from cei_gym.kinematics import KinematicTree
 from cei_gym.rendering import Portrait, look_at
@@ -41,12 +40,11 @@ def draw_representation(representation: FunctionalRepresentation, qpos: np.ndarr
 
 def _view(embodiment: Embodiment, links: np.ndarray, points: np.ndarray, turn_deg: float) -> Camera:
     """A camera that circles the axis from the palm to the pads."""
-    hand = [i for i, name in enumerate(embodiment.body_names) if name.startswith(END_EFFECTOR_PREFIX)]
-    palm, pads = links[hand[0]], points.mean(axis=0)
+    palm, pads = links[embodiment.end_effector_root], points.mean(axis=0)
     axis = (pads - palm) / np.linalg.norm(pads - palm)
     side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
     side = Rotation.from_rotvec(np.radians(turn_deg) * axis).apply(side / np.linalg.norm(side))
-    reach = max(0.12, float(np.linalg.norm(links[hand] - palm, axis=1).max()))
+    reach = max(0.12, float(np.linalg.norm(links[embodiment.of_end_effector] - palm, axis=1).max()))
     middle = palm + 0.55 * (pads - palm)
     eye = middle + 2.5 * reach * side + 0.5 * reach * axis
     return look_at("view", eye, middle, _SUPERSAMPLE * WIDTH, _SUPERSAMPLE * HEIGHT, 38.0, up=-axis)

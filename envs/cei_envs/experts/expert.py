@@ -93,7 +93,7 @@ def closing_direction_base(embodiment: Embodiment) -> np.ndarray:
     """(3,) unit direction in which the first pad moves when the hand closes at home, in the base frame."""
     closed = np.concatenate([embodiment.home[: embodiment.n_arm], embodiment.closed[embodiment.n_arm :]])
     assert embodiment.end_effector is not None
-    body = f"ee/{embodiment.end_effector.pads[0].body}"
+    body = embodiment.body_names[embodiment.body_id(embodiment.end_effector.pads[0].body)]
     there, here = (
         mink.Configuration(embodiment.model, q).get_transform_frame_to_world(body, "body").translation()
         for q in (closed, embodiment.home)
