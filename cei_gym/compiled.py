@@ -5,8 +5,8 @@ one in another file changes, or a package is upgraded whose files all have one d
 """
 
 import contextlib
+import fcntl
 import hashlib
-import os
 from pathlib import Path
 
 from numba import njit
@@ -30,15 +30,18 @@ def forget_stale(package: Path) -> bool:
         digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     stamp, removed = package / "__pycache__" / _STAMP, False
     with contextlib.suppress(OSError):
-        if stamp.exists() and stamp.read_text() == digest.hexdigest():
-            return False
-        for cached in [*package.rglob("__pycache__/*.nbi"), *package.rglob("__pycache__/*.nbc")]:
-            cached.unlink(missing_ok=True)
-            removed = True
         stamp.parent.mkdir(exist_ok=True)
-        partial = stamp.with_name(f"{_STAMP}-{os.getpid()}")
-        partial.write_text(digest.hexdigest())
-        partial.replace(stamp)
+        # One process forgets, before any that waits here compiles: what it had just saved would be taken from under it.
+        with stamp.open("a+") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            file.seek(0)
+            if file.read() == digest.hexdigest():
+                return False
+            for cached in [*package.rglob("__pycache__/*.nbi"), *package.rglob("__pycache__/*.nbc")]:
+                cached.unlink(missing_ok=True)
+                removed = True
+            file.truncate(0)
+            file.write(digest.hexdigest())
     return removed
 
 

@@ -57,3 +57,12 @@ def test_only_what_is_stale_is_forgotten(package: Path) -> None:
     (package / "more.py").touch()
     assert forget_stale(package)
     assert not forget_stale(package)
+
+
+def test_of_many_processes_that_begin_at_once_one_forgets(package: Path) -> None:
+    run(package)
+    (package / "more.py").touch()
+    code = [sys.executable, "-c", "from pack.compiled import forget_stale, Path; print(forget_stale(Path('pack')))"]
+    (package / "compiled.py").write_text(RULES.read_text().replace("\nforget_stale(Path(__file__).parent)\n", "\n"))
+    begun = [subprocess.Popen(code, cwd=package.parent, stdout=subprocess.PIPE, text=True) for _ in range(6)]
+    assert sorted(each.communicate()[0].strip() for each in begun) == ["False"] * 5 + ["True"]
