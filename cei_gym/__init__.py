@@ -6,8 +6,10 @@ Importing it registers with Gymnasium the environments of every installed packag
 """
 
 from importlib import import_module
-from importlib.metadata import entry_points, version
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
+
+from cei_gym import plugins
 
 if TYPE_CHECKING:
     from cei_gym.demonstration import Camera, Demonstration, Scene
@@ -52,5 +54,5 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-for _entry_point in entry_points(group="cei_gym.environments"):
+for _entry_point in plugins.found("cei_gym.environments"):
     _entry_point.load()()

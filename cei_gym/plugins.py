@@ -3,11 +3,23 @@
 Names are read from metadata, without importing anything; what they name is imported when it is asked for.
 """
 
+from collections.abc import Sequence
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import Any
 
 from cei_gym.errors import CEIError, one_line, unknown
+
+
+@cache
+def _every() -> EntryPoints:
+    """Of all groups, read once: it takes 16 ms."""
+    return entry_points()
+
+
+def found(group: str) -> Sequence[EntryPoint]:
+    """The entry points of a group, of all packages."""
+    return tuple(_every().select(group=group))
 
 
 @cache
@@ -17,14 +29,14 @@ def offered(group: str) -> dict[str, EntryPoint]:
     Raises:
         CEIError: two packages offer different things under one name.
     """
-    found: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=group), key=lambda each: each.name):
-        other = found.setdefault(point.name, point)
+    points: dict[str, EntryPoint] = {}
+    for point in sorted(found(group), key=lambda each: each.name):
+        other = points.setdefault(point.name, point)
         if other.value != point.value:
             raise CEIError(
                 f"two packages offer {point.name!r} of {group}: {other.value} and {point.value}; uninstall one."
             )
-    return found
+    return points
 
 
 def load(group: str, name: str, kind: type, what: str) -> Any:
@@ -43,9 +55,9 @@ def load(group: str, name: str, kind: type, what: str) -> Any:
     if name not in points:
         raise unknown(what, name, points)
     try:
-        found = points[name].load()
+        loaded = points[name].load()
     except Exception as error:  # a stranger's module may raise anything
         raise CEIError(f"{what} {name!r} cannot be imported from {points[name].value}: {one_line(error)}") from error
-    if not (issubclass(found, kind) if isinstance(found, type) else isinstance(found, kind)):
+    if not (issubclass(loaded, kind) if isinstance(loaded, type) else isinstance(loaded, kind)):
         raise CEIError(f"{what} {name!r}, {points[name].value}, should be a {kind.__module__}.{kind.__qualname__}.")
-    return found
+    return loaded

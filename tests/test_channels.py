@@ -158,6 +158,13 @@ def test_at_rest_the_wrist_carries_the_hand() -> None:
     env.close()
 
 
+def test_before_an_episode_there_is_nothing_to_have() -> None:
+    env: Any = gym.make(f"CEI-PickCube-{SOURCE}", clouds=False).unwrapped
+    with pytest.raises(CEIError, match=r"^no episode has begun: call reset\(\) before channels\(\)\.$"):
+        env.channels()
+    env.close()
+
+
 def test_an_unknown_sensor_is_refused() -> None:
     with pytest.raises(CEIError, match=r"^unknown sensor 'touch'\..*Valid: wrench"):
         gym.make(f"CEI-PickCube-{SOURCE}", clouds=False, sensors=["touch"])

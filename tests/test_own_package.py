@@ -8,20 +8,27 @@ import os
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from cei_converters.conversion.steps import OnRecorded
+from cei_converters.conversion.episode import Recorded
+from cei_converters.conversion.gate import Gate
+from cei_converters.conversion.steps import Encode, Judge, OnRecorded, Retarget
+from cei_converters.dataset.schema import PRIVILEGED_STATE
 from cei_converters.sources.reader import DatasetReader
 from cei_envs.environment import CEIEnv
 from cei_envs.experts import Expert
 from cei_envs.tasks.pick_cube import PickCubeEnv
 from cei_gym import plugins
-from cei_gym.alignment import Solver, SolverOptions
+from cei_gym.alignment import InitialisationOptions, Solver, SolverOptions
+from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
+from cei_gym.transfer import Transfer
 
 PACKAGE = Path(__file__).parents[1] / "examples/own_package"
 ROBOT, TARGET = "Panda-PandaGripper", "UR5e-PandaGripper"
@@ -123,6 +130,26 @@ def test_without_the_package_its_format_is_none(recordings: Path, tmp_path: Path
     assert "meta/info.json" in result.stderr
 
 
+def test_where_a_step_has_cut_a_recording_its_worst_frame_is_still_the_sources() -> None:
+    body = load_embodiment(ROBOT)
+    qpos = body.home + np.linspace(0, 0.4, FRAMES)[:, None] * (np.arange(len(body.home)) == 0)
+    scene = Scene(np.eye(4), (), np.array([[-2.0, -2.0, -1.0], [2.0, 2.0, 2.0]]))
+    whole = Demonstration(ROBOT, 20.0, qpos, qpos, scene)
+    cut = whole.at(np.array([0, 0, 0, *range(FRAMES)]))
+    transfer = Transfer(body, load_embodiment(TARGET), init=InitialisationOptions(starts=8, basins=1))
+    made = Retarget(transfer, None, 1, False, ())(Recorded(0, 0, cut))
+    judged = Judge(Gate(), True)(made)
+    reader = SimpleNamespace(record=lambda index: {})
+    worst = Encode(reader, TARGET, PRIVILEGED_STATE, 1, True, True)(judged).outcome.worst  # pyright: ignore
+    frames = made.demonstration.source_frames
+    assert frames is not None and frames[3] == 0
+    for frame in range(len(made.demonstration)):
+        quality = replace(judged.quality, frame=frame)
+        found = Encode(reader, TARGET, PRIVILEGED_STATE, 1, True, True)(replace(judged, quality=quality))  # pyright: ignore
+        np.testing.assert_array_equal(found.outcome.worst.qpos_source, qpos[frames[frame]])
+    np.testing.assert_array_equal(worst.qpos_source, qpos[frames[worst.frame]])
+
+
 # -- contracts ------------------------------------------------------------------------------------------------------
 
 
@@ -147,12 +174,8 @@ def test_what_lacks_a_part_is_not_made() -> None:
 
 
 def test_a_task_without_words_is_not_made() -> None:
-    class Mute(CEIEnv):
-        task, state_names = "Mute", ()
-
-    for name in CEIEnv.__abstractmethods__:
-        setattr(Mute, name, getattr(PickCubeEnv, name))
-    Mute.__abstractmethods__ = frozenset()
+    methods = {name: getattr(PickCubeEnv, name) for name in CEIEnv.__abstractmethods__}
+    Mute = type("Mute", (CEIEnv,), {**methods, "task": "Mute", "state_names": ()})
     with pytest.raises(CEIError, match=r"^Mute has no task_text; a task says it"):
         Mute(ROBOT)
 
@@ -171,7 +194,7 @@ class Point:
 @pytest.fixture
 def offered(monkeypatch: pytest.MonkeyPatch):
     def offer(*points: Point) -> None:
-        monkeypatch.setattr(plugins, "entry_points", lambda group: points)
+        monkeypatch.setattr(plugins, "found", lambda group: points)
         plugins.offered.cache_clear()
 
     yield offer

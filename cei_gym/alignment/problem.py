@@ -68,7 +68,7 @@ class SolverOptions:
 
     Attributes:
         backend: "numba" (second order, compiled), "torch" (the same method, many trajectories at once, any device), "paper"
-            (pytorch-kinematics, autograd, Adam), one that an installed package offers (`cei_gym.alignment.solvers`), or "auto" (numba).
+            (pytorch-kinematics, autograd, Adam), one that an installed package offers (entry points `cei_gym.solvers`), or "auto" (numba).
         device: where "torch" and "paper" compute: "auto" (a GPU where there is one), "cpu", "cuda", "mps".
         lambda_m: weight of direction in the Directional Chamfer Distance, metres (points are in metres); 0 is the paper's
             ablation "without direction".

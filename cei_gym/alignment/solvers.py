@@ -1,6 +1,6 @@
 """Solvers by name."""
 
-from importlib import import_module
+from pkgutil import resolve_name
 
 from cei_gym import plugins
 from cei_gym.alignment.problem import AUTO, AlignmentProblem, SolverOptions
@@ -29,5 +29,4 @@ def _class(backend: str) -> type[Solver]:
 
 
 def _own(name: str):
-    module, _, kind = OWN[name].partition(":")
-    return getattr(import_module(module), kind)
+    return resolve_name(OWN[name])

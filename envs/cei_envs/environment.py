@@ -29,7 +29,7 @@ END_EFFECTOR_TOLERANCE_M = 0.002
 STALLED_RAD = 0.1  # an arm that ends a step this far from its target is held back
 STALLED_STEPS = 10
 HELD_TICKS = 20
-"""Unless a task says otherwise (1 s): success is what lasts."""
+"""Default of `CEIEnv.held_ticks`, 1 s: success is what lasts."""
 AT_REST = 0.05  # rad/s or m/s: joints slower than this have arrived, or are blocked by what they hold
 
 
@@ -268,7 +268,13 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         return self._rgb
 
     def channels(self) -> dict[str, Any]:
-        """What demonstrations have of the moment of the last observation: channel of `cei_gym.demonstration.Demonstration` to its values."""
+        """What demonstrations have of the moment of the last observation: channel of `cei_gym.demonstration.Demonstration` to its values.
+
+        Raises:
+            CEIError: no episode has begun.
+        """
+        if self._stage == "made":
+            raise CEIError("no episode has begun: call reset() before channels().")
         seen = self._seen
         found = {"qpos": seen["agent_pos"], "environment_state": seen["environment_state"]}
         found |= {name: SENSORS[name](self.simulation) for name in self._sensors}

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 
 import gymnasium as gym
 
@@ -41,6 +42,7 @@ OWN = (
 )
 
 
+@cache
 def tasks() -> dict[str, Task]:
     """All tasks by name: ours, then those that packages offer. One that cannot be had is left out, with a warning, as the others are of use."""
     from cei_gym import plugins

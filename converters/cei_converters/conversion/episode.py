@@ -5,7 +5,6 @@ from typing import Any, Self
 
 from cei_converters.conversion.verify import Verdict
 from cei_converters.dataset.episodes import EncodedEpisode
-from cei_converters.dataset.metadata import plain
 from cei_converters.dataset.writer import Header
 from cei_gym.alignment import AlignmentReport, Quality
 from cei_gym.augmentation import Offset
@@ -113,7 +112,7 @@ class Outcome:
 
     def encode(self) -> dict[str, Any]:
         """As JSON types."""
-        return plain(asdict(self))
+        return asdict(self)
 
 
 @dataclass(frozen=True)

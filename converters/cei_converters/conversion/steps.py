@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.episode import Converted, Judged, Outcome, Recorded, Retargeted, Worst
 from cei_converters.conversion.gate import DROPPED, FLAGGED, LOW_QUALITY, Gate
@@ -35,7 +37,7 @@ class Step:
     """A step that a package adds; made once in each process that converts.
 
     Args:
-        transfer: between which embodiments; fitted by the time the step is called.
+        transfer: between which embodiments; not fitted yet when an `OnRecorded` sees the episodes that it is fitted to.
     """
 
     def __init__(self, transfer: "Transfer") -> None:
@@ -59,7 +61,7 @@ class OnRetargeted(Step, ABC):
 
     @abstractmethod
     def __call__(self, episode: Retargeted) -> Retargeted:
-        """The episode with a change: of its demonstration, as a rule.
+        """The episode with a change: of its demonstration, as a rule. Report and verdict stay those of what was retargeted.
 
         Raises:
             CEIError: it cannot be had; the conversion ends.
@@ -204,6 +206,9 @@ class Encode:
         }
         worst = quality.frame
         of_source = worst if moved.source_frames is None else moved.source_frames[worst]
+        cut = recorded.demonstration.source_frames
+        if cut is not None:  # by a step: where it shows that frame
+            of_source = np.flatnonzero(cut == of_source)[0]
         return Outcome(
             plain(entry),
             plain(record),

@@ -84,11 +84,6 @@ def check_joint_names(names: Sequence[str], embodiment: Embodiment, where: str) 
             )
 
 
-def depth_key(camera: str) -> str:
-    """Feature key of a depth camera."""
-    return DEPTH_PREFIX + camera
-
-
 def feature_names(feature: Mapping[str, object]) -> list[str]:
     """Names of a feature's entries, in whatever form they are.
 

@@ -53,7 +53,10 @@ def open_source(
     }
     kind = _kind(root)
     if kind not in (LEROBOT, HDF5, ZARR):
-        return _load(kind)(repo_id, str(root), **options)
+        source = _load(kind)(repo_id, str(root), **options)
+        if lacking := [name for name in _SAID if not hasattr(source, name)]:
+            raise CEIError(f"source {kind!r} does not say {', '.join(lacking)}, which a Source says of its dataset.")
+        return source
     if kind == HDF5:
         from cei_converters.sources.robomimic import RobomimicSource
 
@@ -114,6 +117,7 @@ def read_recordings(
 GROUP = "cei_gym.sources"
 """Entry points of formats that packages read: each a `Source` with `recognises`, made with the arguments of `open_source`."""
 LEROBOT, HDF5, ZARR = "LeRobot", "HDF5", "zarr"
+_SAID = ("repo_id", "root", "embodiment", "scene", "fps", "carried", "dropped")
 _HDF5_SUFFIXES = (".hdf5", ".h5", ".hdf")
 _PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".zst")
 _MARKS = (".zgroup", "zarr.json")

@@ -1,6 +1,6 @@
 """Scripted experts, by task and embodiment."""
 
-from importlib import import_module
+from pkgutil import resolve_name
 
 import numpy as np
 
@@ -24,8 +24,7 @@ def make_expert(
     if (task, embodiment.name) not in known:
         listed = ", ".join(environment_id(*pair) for pair in known)
         raise CEIError(f"no scripted expert for {environment_id(task, embodiment.name)}. There is one for: {listed}.")
-    module, _, name = known[task, embodiment.name].partition(":")
-    kind = getattr(import_module(module), name)
+    kind = resolve_name(named := known[task, embodiment.name])
     if not (isinstance(kind, type) and issubclass(kind, Expert)):
-        raise CEIError(f"{module}:{name} is no cei_envs.experts.Expert.")
+        raise CEIError(f"{named} is no cei_envs.experts.Expert.")
     return kind(embodiment, T_world_base, seed, variation)

@@ -44,7 +44,7 @@ class GripperExpert(Expert):
     """A script for an arm with a parallel gripper: the grip site's waypoints, varied as people vary."""
 
     def __init__(self, embodiment: Embodiment, T_world_base: np.ndarray, seed: int, variation: float = 1.0) -> None:
-        self._embodiment, self._T_base_world = embodiment, np.linalg.inv(T_world_base)
+        self.embodiment, self._T_base_world = embodiment, np.linalg.inv(T_world_base)
         self._rng = np.random.default_rng([seed, 1])
         self._amount, self.variation = variation, Variation.sample(self._rng, variation)
 
@@ -54,15 +54,15 @@ class GripperExpert(Expert):
 
     def plan(self, agent_pos: np.ndarray, environment_state: np.ndarray) -> np.ndarray:
         """See `Expert.plan`."""
-        waypoints = self._waypoints(np.asarray(environment_state, float))
+        waypoints = self.waypoints(np.asarray(environment_state, float))
         start = np.asarray(agent_pos, float)
-        return plan(self._embodiment, start, waypoints, self.variation.jitter_m, self._rng)
+        return plan(self.embodiment, start, waypoints, self.variation.jitter_m, self._rng)
 
     @abstractmethod
-    def _waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+    def waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
         """The grip site's way from a state (k,) of the task's objects."""
 
-    def _waypoint(self, position_world: np.ndarray, rotation: Rotation, closed: float, frames: int) -> Waypoint:
+    def waypoint(self, position_world: np.ndarray, rotation: Rotation, closed: float, frames: int) -> Waypoint:
         """At this expert's own speed."""
         T = self._T_base_world
         return Waypoint(
@@ -72,12 +72,12 @@ class GripperExpert(Expert):
             self.variation.frames(frames),
         )
 
-    def _reaching_down(self, closing_yaw_rad: float) -> Rotation:
+    def reaching_down(self, closing_yaw_rad: float) -> Rotation:
         """Orientation of the grip site in the world: pointing down, the fingers closing along a heading; leaning as varied."""
         v = self.variation
-        _, home = grip_pose(self._embodiment, self._embodiment.home)
+        _, home = grip_pose(self.embodiment, self.embodiment.home)
         down = upright(home)
-        x, y, _ = (down * home.inv()).apply(closing_direction_base(self._embodiment))
+        x, y, _ = (down * home.inv()).apply(closing_direction_base(self.embodiment))
         # Fingers close from both sides, so half turns are alike: take the nearer one.
         turn = (closing_yaw_rad - np.arctan2(y, x) + np.pi / 2) % np.pi - np.pi / 2
         return Rotation.from_euler("xyz", [*v.tilt_rad, turn + v.yaw_rad]) * down

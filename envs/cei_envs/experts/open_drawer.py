@@ -17,18 +17,18 @@ _PULL_M = 0.125
 class OpenDrawerExpert(GripperExpert):
     """Reach over the handle, descend until the fingers straddle it, close, pull."""
 
-    def _waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+    def waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
         x, y, yaw, opening = state
         cabinet = Rotation.from_euler("z", yaw)
         handle = cabinet.apply(_HANDLE_CABINET_M) + [x, y, TABLE_Z_M] - cabinet.apply([opening, 0, 0])
         # The offset along the bar is harmless, so people vary more there.
         along = self._amount * self._rng.uniform(-0.02, 0.02)
         grasp = handle + self.variation.offset_m + cabinet.apply([0, along, 0])
-        rotation = self._reaching_down(yaw)
+        rotation = self.reaching_down(yaw)
         pulled = grasp - cabinet.apply([_PULL_M, 0, 0])
         return [
-            self._waypoint(grasp + [0, 0, _ABOVE_M], rotation, 0.0, 26),
-            self._waypoint(grasp, rotation, 0.0, 14),
-            self._waypoint(grasp, rotation, 1.0, 10),
-            self._waypoint(pulled, rotation, 1.0, 30),
+            self.waypoint(grasp + [0, 0, _ABOVE_M], rotation, 0.0, 26),
+            self.waypoint(grasp, rotation, 0.0, 14),
+            self.waypoint(grasp, rotation, 1.0, 10),
+            self.waypoint(pulled, rotation, 1.0, 30),
         ]

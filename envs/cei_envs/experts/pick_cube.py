@@ -15,9 +15,9 @@ _LIFT_M = 0.15
 class PickCubeExpert(GripperExpert):
     """Reach over the cube, descend, close, lift."""
 
-    def _waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+    def waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
         v = self.variation
-        _, home = grip_pose(self._embodiment, self._embodiment.home)
+        _, home = grip_pose(self.embodiment, self.embodiment.home)
         # A cube looks the same every quarter turn: take the one nearest to the hand's own heading.
         cube_yaw = Rotation.from_quat(state[3:7], scalar_first=True).as_euler("ZYX")[0]
         turn = (cube_yaw + np.pi / 4) % (np.pi / 2) - np.pi / 4
@@ -25,8 +25,8 @@ class PickCubeExpert(GripperExpert):
         grasp = state[:3] + v.offset_m
         above, lift = grasp + [0, 0, _ABOVE_M], grasp + [0, 0, _LIFT_M]
         return [
-            self._waypoint(above, rotation, 0.0, 26),
-            self._waypoint(grasp, rotation, 0.0, 14),
-            self._waypoint(grasp, rotation, 1.0, 10),
-            self._waypoint(lift, rotation, 1.0, 20),
+            self.waypoint(above, rotation, 0.0, 26),
+            self.waypoint(grasp, rotation, 0.0, 14),
+            self.waypoint(grasp, rotation, 1.0, 10),
+            self.waypoint(lift, rotation, 1.0, 20),
         ]

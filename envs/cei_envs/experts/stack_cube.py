@@ -17,13 +17,13 @@ _PLACE_M = 0.003  # error of the place, each way
 class StackCubeExpert(GripperExpert):
     """Reach over the red cube, descend, close, lift, carry over the green cube, lower, open, withdraw."""
 
-    def _waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+    def waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
         red, green = state[:STATE_SIZE], state[STATE_SIZE:]
         red_yaw = Rotation.from_quat(red[3:7], scalar_first=True).as_euler("ZYX")[0]
         # Of the two ways to grasp the red cube, the one whose fingers stay away from the green one.
         to_green = np.arctan2(green[1] - red[1], green[0] - red[0])
         closing_yaw = max(red_yaw, red_yaw + np.pi / 2, key=lambda yaw: abs(np.sin(yaw - to_green)))
-        rotation = self._reaching_down(closing_yaw)
+        rotation = self.reaching_down(closing_yaw)
         offset = np.array(self.variation.offset_m)
         grasp = red[:3] + offset
         # Closing fingers centre the cube between them; what is left of the offset is carried along.
@@ -33,12 +33,12 @@ class StackCubeExpert(GripperExpert):
         place[:2] += self._amount * self._rng.uniform(-_PLACE_M, _PLACE_M, 2)
         up = np.array([0, 0, _ABOVE_M])
         return [
-            self._waypoint(grasp + up, rotation, 0.0, 26),
-            self._waypoint(grasp, rotation, 0.0, 14),
-            self._waypoint(grasp, rotation, 1.0, 10),
-            self._waypoint(grasp + up, rotation, 1.0, 16),
-            self._waypoint(place + up, rotation, 1.0, 16),
-            self._waypoint(place, rotation, 1.0, 20),
-            self._waypoint(place, rotation, 0.0, 10),
-            self._waypoint(place + up, rotation, 0.0, 16),
+            self.waypoint(grasp + up, rotation, 0.0, 26),
+            self.waypoint(grasp, rotation, 0.0, 14),
+            self.waypoint(grasp, rotation, 1.0, 10),
+            self.waypoint(grasp + up, rotation, 1.0, 16),
+            self.waypoint(place + up, rotation, 1.0, 16),
+            self.waypoint(place, rotation, 1.0, 20),
+            self.waypoint(place, rotation, 0.0, 10),
+            self.waypoint(place + up, rotation, 0.0, 16),
         ]

@@ -75,13 +75,13 @@ class PickCubeEnv(CEIEnv):
         return cube_on_table(x, y, rng.uniform(-np.pi, np.pi), half)
 
     def apply_state(self, state: np.ndarray) -> None:
-        self._cube.apply(state)
+        self.cube.apply(state)
 
     def read_state(self) -> np.ndarray:
-        return self._cube.read()
+        return self.cube.read()
 
     def begin(self) -> None:
-        self._start_z = self._cube.position_world[2]
+        self._start_z = self.cube.position_world[2]
         self._highest = 0.0
 
     def is_done(self) -> bool:
@@ -97,9 +97,9 @@ class PickCubeEnv(CEIEnv):
         return "timed out"
 
     @cached_property
-    def _cube(self) -> Cube:
+    def cube(self) -> Cube:
         return Cube(self.model, self.simulation.data, "cube_main")
 
     @property
     def _lift_m(self) -> float:
-        return self._cube.position_world[2] - self._start_z
+        return self.cube.position_world[2] - self._start_z

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import minimize
 
-from cei_gym.alignment import AlignmentProblem, Motion, Solver, SolverOptions, Surroundings, Track
+from cei_gym.alignment import AlignmentProblem, Motion, Solver, SolverOptions, Track
 from cei_gym.functional import directional_chamfer_distance
 
 
@@ -15,15 +15,7 @@ class GradientSolver(Solver):
     def __init__(self, problem: AlignmentProblem, options: SolverOptions) -> None:
         self._problem, self._options = problem, options
 
-    def track(
-        self,
-        points_base: np.ndarray,
-        normals_base: np.ndarray,
-        u0: np.ndarray,
-        iterations: int | None = None,
-        dt_s: float | None = None,
-        surroundings: Surroundings | None = None,
-    ) -> Track:
+    def track(self, points_base, normals_base, u0, iterations=None, dt_s=None, surroundings=None) -> Track:
         """See `Solver.track`."""
         body = self._problem.embodiment
         bounds = list(zip(body.coupled.reduce(body.lower), body.coupled.reduce(body.upper), strict=True))

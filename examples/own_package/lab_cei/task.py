@@ -20,7 +20,7 @@ class TouchCubeEnv(PickCubeEnv):
 
     def is_done(self) -> bool:
         """Whether the robot touches the cube now."""
-        return self.simulation.touching(self._cube.geoms, self.simulation.robot_geoms)
+        return self.simulation.touching(self.cube.geoms, self.simulation.robot_geoms)
 
     def failure_reason(self) -> str:
         """Why not yet."""
@@ -30,7 +30,7 @@ class TouchCubeEnv(PickCubeEnv):
 class TouchCubeExpert(PickCubeExpert):
     """Reach over the cube, descend with closed fingers, and press a little."""
 
-    def _waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
-        _, home = grip_pose(self._embodiment, self._embodiment.home)
+    def waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+        _, home = grip_pose(self.embodiment, self.embodiment.home)
         above, on = state[:3] + [0, 0, 0.12], state[:3] + [0, 0, 0.018]
-        return [self._waypoint(p, upright(home), 1.0, n) for p, n in ((above, 26), (on, 14), (on, 15))]
+        return [self.waypoint(p, upright(home), 1.0, n) for p, n in ((above, 26), (on, 14), (on, 15))]
