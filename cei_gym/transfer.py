@@ -40,6 +40,7 @@ from cei_gym.errors import CEIError, unknown
 from cei_gym.functional import VARIANTS, FunctionalRepresentation, directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, crop, frame_points
+from cei_gym.pointcloud.attached import attached
 from cei_gym.pointcloud.isolated import isolated
 from cei_gym.pointcloud.remember import remember
 
@@ -432,6 +433,10 @@ class Transfer:
         above = [s[s[:, 2] > floor, :3] for s in scenes]
         above = [s[~isolated(s, _COMPANY_M, _COMPANY)] for s in above]
         objects = [s @ T_base_world[:3, :3].T + T_base_world[:3, 3] for s in above]
+        held = np.zeros(len(scenes), bool) if grip is None else grip.held
+        T_hand = self._source_links(demonstration)[:, self._root]
+        tool = attached(objects, T_hand, hand_base, ~held, _NEAR_HAND_M)
+        objects = [points[~its] for points, its in zip(objects, tool, strict=True)]
         moved = np.zeros(len(scenes), bool) if grip is None else grip.carried_m > _CARRIED_M
         return remember(objects, hand_base, moved, _NEAR_HAND_M)
 
