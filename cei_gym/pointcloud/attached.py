@@ -47,9 +47,9 @@ def attached(
     apart = np.linalg.norm(hands[:, None, :3, 3] - hands[None, :, :3, 3], axis=-1) > _MOVED_M
     tool = []
     for i, (points, mine) in enumerate(zip(near, local, strict=True)):
-        others = np.flatnonzero(apart[i])
-        if len(others):
-            votes = np.sum([_has(local[j], mine) & ~_has(scenes[keys[j]], points) for j in others], axis=0)
+        others = [int(j) for j in np.flatnonzero(apart[i])]
+        if others:
+            votes = np.sum([_has(local[j], mine) & ~_has(scenes[int(keys[j])], points) for j in others], axis=0)
             tool.append(mine[votes >= _MOSTLY * len(others)])
     model = np.concatenate(tool) if tool else np.zeros((0, 3))
     if len(model) < _FEWEST:
