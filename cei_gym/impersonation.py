@@ -3,7 +3,7 @@
 import numpy as np
 
 from cei_gym.alignment import AlignmentProblem, Stream, find_basins, squeeze
-from cei_gym.alignment.solvers import make_second_order_solver
+from cei_gym.alignment.solvers.make import make_second_order_solver
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
 from cei_gym.transfer import Transfer

@@ -24,9 +24,9 @@ from cei_gym.alignment import (
     judge_basins,
     make_solver,
 )
-from cei_gym.alignment.newton import NewtonSolver
-from cei_gym.alignment.report import make_report
-from cei_gym.alignment.starts import active_joints, random_starts
+from cei_gym.alignment.judge.report import make_report
+from cei_gym.alignment.solvers.newton import NewtonSolver
+from cei_gym.alignment.start.starts import active_joints, random_starts
 from cei_gym.embodiment import END_EFFECTORS, load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance, sample_representation

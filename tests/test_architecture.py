@@ -32,10 +32,10 @@ FORBIDDEN = {
 }
 # Only solvers that are asked for by name need torch: everything else works without.
 TORCH = {
-    "cei_gym/alignment/device.py",
-    "cei_gym/alignment/newton_torch.py",
-    "cei_gym/alignment/paper.py",
-    "cei_gym/alignment/torch_model.py",
+    "cei_gym/alignment/solvers/device.py",
+    "cei_gym/alignment/solvers/newton_torch.py",
+    "cei_gym/alignment/solvers/paper.py",
+    "cei_gym/alignment/solvers/torch_model.py",
     "cei_gym/kinematics/torch_chain.py",
 }
 
@@ -93,7 +93,7 @@ def test_torch_is_only_where_solvers_need_it() -> None:
     for path in sources("cei_gym"):
         if path.relative_to(ROOT).as_posix() not in TORCH:
             reached = imports(path, top_level=True)
-            assert not {"cei_gym.alignment.paper", "cei_gym.kinematics.torch_chain"} & reached, path
+            assert not {"cei_gym.alignment.solvers.paper", "cei_gym.kinematics.torch_chain"} & reached, path
 
 
 LAYERS = {

@@ -35,8 +35,8 @@ from cei_gym.alignment import (
     source_grip,
     squeeze,
 )
-from cei_gym.alignment.grasp import GraspRefiner
-from cei_gym.alignment.grip import SOFTNESS_M, in_grip, pad_shapes
+from cei_gym.alignment.contact.grip import SOFTNESS_M, in_grip, pad_shapes
+from cei_gym.alignment.contact.refine import GraspRefiner
 from cei_gym.alignment.kernels import grasp as kernels
 from cei_gym.alignment.kernels import keep_out
 from cei_gym.alignment.kernels.distance import place_joints

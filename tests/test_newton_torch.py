@@ -22,9 +22,9 @@ from cei_gym.alignment import (
     make_solver,
 )
 from cei_gym.alignment.links import link_shapes
-from cei_gym.alignment.newton import NewtonSolver
-from cei_gym.alignment.newton_torch import TorchNewtonSolver
-from cei_gym.alignment.paper import PaperSolver
+from cei_gym.alignment.solvers.newton import NewtonSolver
+from cei_gym.alignment.solvers.newton_torch import TorchNewtonSolver
+from cei_gym.alignment.solvers.paper import PaperSolver
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance, sample_representation

@@ -212,6 +212,6 @@ def test_what_cannot_be_imported_or_is_something_else_is_refused(offered) -> Non
     with pytest.raises(CEIError, match=r"^solver 'gone' cannot be imported from no_such_module:Solver: No module"):
         plugins.load("cei_gym.solvers", "gone", Solver, "solver")
     with pytest.raises(
-        CEIError, match=r"^solver 'other', json:JSONDecoder, should be a cei_gym.alignment.solver.Solver\.$"
+        CEIError, match=r"^solver 'other', json:JSONDecoder, should be a cei_gym.alignment.solvers.solver.Solver\.$"
     ):
         plugins.load("cei_gym.solvers", "other", Solver, "solver")

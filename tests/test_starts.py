@@ -20,8 +20,8 @@ from cei_gym.alignment import (
     judge_basins,
     make_solver,
 )
-from cei_gym.alignment.newton import NewtonSolver
-from cei_gym.alignment.starts import elite_starts, random_starts, unwrap
+from cei_gym.alignment.solvers.newton import NewtonSolver
+from cei_gym.alignment.start.starts import elite_starts, random_starts, unwrap
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance, sample_representation

@@ -1,29 +1,21 @@
 """Trajectory alignment: the target's joints that make its pads do what the source's did (the paper's section IV-B)."""
 
-from cei_gym.alignment.basins import Basin, choose_modes, judge, judge_basins
-from cei_gym.alignment.clearance import Clearance, Penetration
+from cei_gym.alignment.contact.grip import Grip, onto_objects, opposing_sides, pad_shapes, source_grip
+from cei_gym.alignment.contact.squeeze import squeeze
 from cei_gym.alignment.follow import Follower
-from cei_gym.alignment.grip import Grip, onto_objects, opposing_sides, pad_shapes, source_grip
+from cei_gym.alignment.judge.clearance import Clearance, Penetration
+from cei_gym.alignment.judge.quality import Quality, assess
+from cei_gym.alignment.judge.reach import Miss, Reach
+from cei_gym.alignment.judge.report import AlignmentReport, make_report, pad_residuals
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.manual import ManualAlignment
-from cei_gym.alignment.pace import pace
-from cei_gym.alignment.problem import (
-    AlignmentProblem,
-    ClearanceOptions,
-    ContactOptions,
-    Motion,
-    PaperOptions,
-    SolverOptions,
-    Surroundings,
-    Track,
-)
-from cei_gym.alignment.quality import Quality, assess
-from cei_gym.alignment.reach import Miss, Reach
-from cei_gym.alignment.report import AlignmentReport, make_report, pad_residuals
-from cei_gym.alignment.solver import SecondOrderSolver, Solver
-from cei_gym.alignment.solvers import make_solver
-from cei_gym.alignment.squeeze import squeeze
-from cei_gym.alignment.starts import InitialisationOptions, find_basins
+from cei_gym.alignment.options import ClearanceOptions, ContactOptions, PaperOptions, SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
+from cei_gym.alignment.retime import pace
+from cei_gym.alignment.solvers.make import make_solver
+from cei_gym.alignment.solvers.solver import SecondOrderSolver, Solver
+from cei_gym.alignment.start.basins import Basin, choose_modes, judge, judge_basins
+from cei_gym.alignment.start.starts import InitialisationOptions, find_basins
 from cei_gym.alignment.stream import Stream
 
 __all__ = [

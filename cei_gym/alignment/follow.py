@@ -8,14 +8,15 @@ from functools import cached_property
 
 import numpy as np
 
-from cei_gym.alignment.clearance import OBJECT, Clearance, Penetration
-from cei_gym.alignment.grasp import GraspRefiner
+from cei_gym.alignment.contact.refine import GraspRefiner
+from cei_gym.alignment.judge.clearance import OBJECT, Clearance, Penetration
 from cei_gym.alignment.kernels.keep_out import shortfall
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import keep_out_links, pack_obstacles
-from cei_gym.alignment.problem import AlignmentProblem, ContactOptions, Motion, SolverOptions, Track
-from cei_gym.alignment.solver import Solver
-from cei_gym.alignment.solvers import make_solver
+from cei_gym.alignment.options import ContactOptions, SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
+from cei_gym.alignment.solvers.make import make_solver
+from cei_gym.alignment.solvers.solver import Solver
 
 _TOLERATED_M = 1e-3
 

@@ -6,7 +6,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from cei_gym.alignment.kernels.keep_out import KeepOut
-from cei_gym.alignment.problem import AlignmentProblem, ClearanceOptions, Surroundings
+from cei_gym.alignment.options import ClearanceOptions
+from cei_gym.alignment.problem import AlignmentProblem, Surroundings
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.meshes import collision_geoms, geom_vertices, outermost, spread_directions
 from cei_gym.kinematics import KinematicTree
@@ -62,13 +63,8 @@ def _link_shapes(embodiment: Embodiment) -> LinkShapes:
 
 def idle_bodies(problem: AlignmentProblem) -> np.ndarray:
     """(L,) links of fingers that carry no pad: moved by a joint of the hand that moves no pad."""
-    tree = problem.tree.arrays
-    carries = np.zeros(len(tree.hinge), bool)
-    for joint in tree.body_joint[np.unique(problem.representation.body)]:
-        while joint >= 0:
-            carries[joint] = True
-            joint = tree.joint_parent[joint]
-    joint = tree.body_joint
+    carries = problem.tree.moving(problem.representation.body)
+    joint = problem.tree.arrays.body_joint
     return (joint >= problem.embodiment.n_arm) & ~carries[joint]
 
 

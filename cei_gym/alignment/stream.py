@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from cei_gym.alignment.problem import AlignmentProblem, SolverOptions
-from cei_gym.alignment.solvers import make_second_order_solver
-from cei_gym.alignment.starts import InitialisationOptions, find_basins
+from cei_gym.alignment.options import SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem
+from cei_gym.alignment.solvers.make import make_second_order_solver
+from cei_gym.alignment.start.starts import InitialisationOptions, find_basins
 
 
 class Stream:

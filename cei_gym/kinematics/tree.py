@@ -153,6 +153,15 @@ class KinematicTree:
         J = _jacobian_batch(self.arrays, axis, anchor, body, points)
         return J.reshape(*np.shape(qpos)[:-1], *J.shape[1:])
 
+    def moving(self, bodies: np.ndarray) -> np.ndarray:
+        """(n,) which joints move any of some links, given by their indices."""
+        moves = np.zeros(len(self.arrays.hinge), bool)
+        for joint in self.arrays.body_joint[np.unique(bodies)]:
+            while joint >= 0:
+                moves[joint] = True
+                joint = self.arrays.joint_parent[joint]
+        return moves
+
     def _screws(self, qpos: np.ndarray):
         n = len(self.arrays.hinge)
         if np.shape(qpos)[-1] != n:

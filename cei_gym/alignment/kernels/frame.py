@@ -10,12 +10,12 @@ import numpy as np
 from cei_gym.alignment.kernels.distance import evaluate
 from cei_gym.alignment.kernels.keep_out import penalise
 from cei_gym.alignment.kernels.quadratic import Quadratic, add_distance, empty_quadratic, project
-from cei_gym.alignment.kernels.step import StepMemory, empty_step, take_step
+from cei_gym.alignment.kernels.step import DAMPING, STIFFENED, StepMemory, eased, empty_step, take_step
 from cei_gym.alignment.kernels.target import Pose, Source, empty_pose, empty_source, load_source
 from cei_gym.compiled import njit
 
-_DAMPING = 1e-3
-_DAMPING_TRIES = 8
+DAMPING_TRIES = 8
+"""Of a step, each stiffer than the last, before the frame counts as solved."""
 
 
 class Settings(NamedTuple):
@@ -114,7 +114,7 @@ def solve_frame(target, points, normals, settings, keep_out, obstacles, dt_s, la
             u[:] = new
             dcd, objective = dcd_new, objective_new
             pose, trial = trial, pose
-    damping, flat, spent = _DAMPING, 0, 0
+    damping, flat, spent = DAMPING, 0, 0
     while spent < settings.iterations and flat < 2:
         spent += 1
         add_distance(target, source, settings.lambda_m, pose, quadratic)
@@ -126,7 +126,7 @@ def solve_frame(target, points, normals, settings, keep_out, obstacles, dt_s, la
             gradient[k] += weight * (u[k] - anchor[k])
             hessian[k, k] += weight
         accepted = False
-        for _ in range(_DAMPING_TRIES):
+        for _ in range(DAMPING_TRIES):
             fall = take_step(hessian, gradient, damping, lower, upper, u, new, memory.step)
             if 0.0 <= fall < settings.tolerance:
                 break
@@ -138,9 +138,9 @@ def solve_frame(target, points, normals, settings, keep_out, obstacles, dt_s, la
                 u[:] = new
                 dcd, objective, accepted = dcd_new, objective_new, True
                 pose, trial = trial, pose
-                damping = max(damping * 0.33, 1e-9)
+                damping = eased(damping)
                 break
-            damping *= 4.0
+            damping *= STIFFENED
         if not accepted:
             break
     return dcd, spent

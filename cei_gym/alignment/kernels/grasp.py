@@ -9,17 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cei_gym.alignment.grip import SOFTNESS_M
+from cei_gym.alignment.contact.grip import SOFTNESS_M
 from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.frame import empty_memory
 from cei_gym.alignment.kernels.keep_out import KeepOut, nearest, penalise
 from cei_gym.alignment.kernels.quadratic import add_contact, project
-from cei_gym.alignment.kernels.step import take_step
+from cei_gym.alignment.kernels.step import DAMPING, STIFFENED, eased, take_step
 from cei_gym.alignment.kernels.target import empty_pose
 from cei_gym.compiled import njit
 
 _OPEN_M = 0.02  # this much wider than what it holds, a hand is open
-_DAMPING = 1e-3
 _DAMPING_TRIES = 6
 
 
@@ -59,7 +58,7 @@ class Grasp(NamedTuple):
 
 
 class Grip(NamedTuple):
-    """What the source's end-effector does, in the target's base frame; see `cei_gym.alignment.grip.Grip`."""
+    """What the source's end-effector does, in the target's base frame; see `cei_gym.alignment.contact.grip.Grip`."""
 
     axis: np.ndarray
     contacts: np.ndarray
@@ -227,7 +226,7 @@ def _solve(target, grasp, links, wish, anchor, lower, upper, memory, points, tri
     """Minimise the energy from u (m,), in place, inside a box."""
     pose, trial, quadratic, new = memory.pose, memory.trial, memory.quadratic, memory.new
     energy = _energy(target, grasp, links, wish, anchor, u, pose, points, quadratic, False)
-    damping = _DAMPING
+    damping = DAMPING
     for _ in range(grasp.iterations):
         _energy(target, grasp, links, wish, anchor, u, pose, points, quadratic, True)
         project(target, np.zeros(3), pose, quadratic)
@@ -246,9 +245,9 @@ def _solve(target, grasp, links, wish, anchor, lower, upper, memory, points, tri
                 energy, accepted = energy_new, True
                 pose, trial = trial, pose
                 points, trial_points = trial_points, points
-                damping = max(0.33 * damping, 1e-9)
+                damping = eased(damping)
                 break
-            damping *= 4.0
+            damping *= STIFFENED
         if not accepted:
             break
     return energy

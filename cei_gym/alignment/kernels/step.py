@@ -6,7 +6,14 @@ import numpy as np
 
 from cei_gym.compiled import njit
 
-_LARGEST_STEP = 0.5  # rad or m a joint and iteration
+DAMPING = 1e-3
+"""Of a frame's first step."""
+LARGEST_STEP = 0.5
+"""Of a joint in one iteration, rad or m."""
+LEAST_DAMPING = 1e-9
+"""However well it goes."""
+EASED, STIFFENED = 0.33, 4.0
+"""What damping is multiplied by after a step that lowers the objective, and after one that does not."""
 
 
 class StepMemory(NamedTuple):
@@ -22,6 +29,12 @@ class StepMemory(NamedTuple):
 @njit(cache=True, nogil=True)
 def empty_step(m):
     return StepMemory(np.empty((m, m)), np.empty(m), np.empty(m, np.int64), np.empty(m), np.empty(m, np.bool_))
+
+
+@njit(cache=True, nogil=True)
+def eased(damping):
+    """The damping after a step that has lowered the objective."""
+    return max(damping * EASED, LEAST_DAMPING)
 
 
 @njit(cache=True, nogil=True)
@@ -87,6 +100,6 @@ def _solve_free(hessian, gradient, damping, memory):
             total -= L[c, a] * x[c]
         x[a] = total / L[a, a]
         largest = max(largest, abs(x[a]))
-    shrink = 1.0 if largest <= _LARGEST_STEP else _LARGEST_STEP / largest
+    shrink = 1.0 if largest <= LARGEST_STEP else LARGEST_STEP / largest
     for a in range(n):
         delta[free[a]] = shrink * x[a]

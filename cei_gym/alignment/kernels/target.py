@@ -46,11 +46,7 @@ def make_target(representation: FunctionalRepresentation, tree: KinematicTree, a
     points = np.einsum("nij,nj->ni", R, representation.points_link) + t
     normals = np.einsum("nij,nj->ni", R, representation.normals_link)
     pad_joint = bodies.joint[representation.body]
-    used = np.full(len(joints.parent), all_joints)
-    for joint in np.unique(pad_joint):
-        while joint >= 0:
-            used[joint] = True
-            joint = joints.parent[joint]
+    used = all_joints | tree.moving(representation.body)
     new_index = np.append(np.cumsum(used) - 1, -1)  # the base, -1, stays the base
     coupled = embodiment.coupled
     lower, upper = embodiment.independent_limits

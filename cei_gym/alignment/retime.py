@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from cei_gym.alignment.newton import NewtonSolver
-from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Track
-from cei_gym.alignment.solver import Solver
+from cei_gym.alignment.options import SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
+from cei_gym.alignment.solvers.newton import NewtonSolver
+from cei_gym.alignment.solvers.solver import Solver
 
 
 def pace(

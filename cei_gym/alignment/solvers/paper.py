@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from cei_gym.alignment.device import choose_device, widest_real
-from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Track
-from cei_gym.alignment.solver import Solver
+from cei_gym.alignment.options import SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
+from cei_gym.alignment.solvers.device import choose_device, widest_real
+from cei_gym.alignment.solvers.solver import Solver
 from cei_gym.kinematics.torch_chain import TorchChain
 
 

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cei_gym.alignment.clearance import Penetration
+from cei_gym.alignment.judge.clearance import Penetration
+from cei_gym.alignment.judge.reach import Miss
 from cei_gym.alignment.kernels.distance import matched
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.problem import AlignmentProblem, Track
-from cei_gym.alignment.reach import Miss
 
 _AT_LIMIT = 1e-6
 _TOUCHES_MM = 1.0  # less is how meshes are, not how robots are

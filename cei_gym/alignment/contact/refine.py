@@ -10,12 +10,13 @@ from functools import cached_property
 
 import numpy as np
 
-from cei_gym.alignment.grip import Grip, in_grip, opposing_sides, pad_shapes
+from cei_gym.alignment.contact.grip import Grip, in_grip, opposing_sides, pad_shapes
 from cei_gym.alignment.kernels import grasp as kernels
 from cei_gym.alignment.kernels.distance import distances
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
-from cei_gym.alignment.problem import AlignmentProblem, ContactOptions, Motion, SolverOptions, Surroundings, Track
+from cei_gym.alignment.options import ContactOptions, SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
 from cei_gym.kinematics.joints import reduce_to_joints
 
 _ITERATIONS = 20

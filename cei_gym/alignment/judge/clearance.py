@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from cei_gym.alignment.links import link_shapes
-from cei_gym.alignment.problem import ClearanceOptions
+from cei_gym.alignment.options import ClearanceOptions
 from cei_gym.compiled import njit
 from cei_gym.embodiment.embodiment import Embodiment
 

@@ -13,18 +13,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cei_gym.alignment.device import choose_device, widest_real
+from cei_gym.alignment.kernels.frame import DAMPING_TRIES
+from cei_gym.alignment.kernels.step import DAMPING, EASED, LARGEST_STEP, LEAST_DAMPING, STIFFENED
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import keep_out_links
-from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Surroundings, Track
-from cei_gym.alignment.solver import SecondOrderSolver
-from cei_gym.alignment.torch_model import Pose, Sources, TorchModel
-
-# As in `kernels.frame` and `kernels.step`.
-_DAMPING = 1e-3
-_LEAST_DAMPING = 1e-9
-_DAMPING_TRIES = 8
-_LARGEST_STEP = 0.5  # rad or m a joint and iteration
+from cei_gym.alignment.options import SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
+from cei_gym.alignment.solvers.device import choose_device, widest_real
+from cei_gym.alignment.solvers.solver import SecondOrderSolver
+from cei_gym.alignment.solvers.torch_model import Pose, Sources, TorchModel
 
 
 class _State(NamedTuple):
@@ -209,14 +206,14 @@ class TorchNewtonSolver(SecondOrderSolver):
         gradient = gradient + s.weight[:, None] * (u - s.anchor)
         hessian.diagonal(dim1=1, dim2=2).add_(s.weight[:, None])
         flat = torch.where(s.objective - objective < self.options.tolerance, s.flat + 1, 0)
-        damping = torch.where(accept, (0.33 * s.damping).clamp(min=_LEAST_DAMPING), 4 * s.damping)
+        damping = torch.where(accept, (EASED * s.damping).clamp(min=LEAST_DAMPING), STIFFENED * s.damping)
         return s._replace(
             u=torch.where(accept[:, None], u, s.u),
             objective=torch.where(accept, objective, s.objective),
             dcd=torch.where(accept, dcd, s.dcd),
             gradient=torch.where(accept[:, None], gradient, s.gradient),
             hessian=torch.where(accept[:, None, None], hessian, s.hessian),
-            damping=torch.where(s.starting, _DAMPING, damping),
+            damping=torch.where(s.starting, DAMPING, damping),
             tries=torch.where(accept, 0, s.tries + 1),
             flat=torch.where(s.starting, 0, torch.where(accept, flat, s.flat)),
             spent=torch.where(s.starting, 0, s.spent),
@@ -230,7 +227,7 @@ class TorchNewtonSolver(SecondOrderSolver):
         level = (fall >= 0) & (fall < self.options.tolerance)
         return s._replace(
             candidate=candidate,
-            starting=over | level | (s.tries >= _DAMPING_TRIES),
+            starting=over | level | (s.tries >= DAMPING_TRIES),
             spent=s.spent + (fresh & ~over),
         )
 
@@ -280,6 +277,6 @@ def _solve_free(s: _State, delta: Tensor, fixed: Tensor) -> tuple[Tensor, Tensor
     # In two steps: Metal has no `cholesky_solve`.
     half = torch.linalg.solve_triangular(factor, -force[..., None], upper=False)
     step = torch.linalg.solve_triangular(factor.mT, half, upper=True)[..., 0]
-    shrink = (_LARGEST_STEP / step.abs().amax(dim=1, keepdim=True)).clamp(max=1)
+    shrink = (LARGEST_STEP / step.abs().amax(dim=1, keepdim=True)).clamp(max=1)
     failed = failed > 0
     return torch.where(fixed | failed[:, None], held, shrink * step), failed

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cei_gym.alignment.report import AlignmentReport
+from cei_gym.alignment.judge.report import AlignmentReport
 
 HALVES = {"residual": 20.0, "limits": 0.5, "jumps": 1.0, "clearance": 10.0, "reach": 0.05}
 """Where each part of the quality is 0.5. `residual`: mean distance between pads, mm; `limits`: share of frames in which a

@@ -16,8 +16,9 @@ from cei_gym.alignment.kernels.frame import Settings, empty_memory, solve_frame
 from cei_gym.alignment.kernels.quadratic import add_distance, project
 from cei_gym.alignment.kernels.target import load_source, make_target
 from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
-from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Surroundings, Track
-from cei_gym.alignment.solver import SecondOrderSolver
+from cei_gym.alignment.options import SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
+from cei_gym.alignment.solvers.solver import SecondOrderSolver
 from cei_gym.compiled import njit
 
 _FULL_SPEED = 0.999

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cei_gym.alignment.problem import AlignmentProblem, Motion, SolverOptions, Surroundings, Track
+from cei_gym.alignment.options import SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
 
 
 class Solver(ABC):

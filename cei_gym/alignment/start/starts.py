@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cei_gym.alignment.problem import AlignmentProblem, SolverOptions
-from cei_gym.alignment.solver import SecondOrderSolver
-from cei_gym.alignment.solvers import make_second_order_solver
+from cei_gym.alignment.options import SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem
+from cei_gym.alignment.solvers.make import make_second_order_solver
+from cei_gym.alignment.solvers.solver import SecondOrderSolver
 from cei_gym.errors import CEIError, unknown
 
 METHODS = ("multistart", "eis", "given")
@@ -91,13 +92,9 @@ def find_basins(
 
 def active_joints(problem: AlignmentProblem) -> np.ndarray:
     """(m,) which independent joints move a pad at all; the others keep their home position."""
-    arrays, coupled = problem.tree.arrays, problem.embodiment.coupled
+    coupled = problem.embodiment.coupled
     active = np.zeros(len(coupled.independent), bool)
-    for body in np.unique(problem.representation.body):
-        joint = arrays.body_joint[body]
-        while joint >= 0:
-            active[coupled.leader[joint]] = True
-            joint = arrays.joint_parent[joint]
+    active[coupled.leader[problem.tree.moving(problem.representation.body)]] = True
     return active
 
 

@@ -10,9 +10,9 @@ GROUP = "cei_gym.solvers"
 DEFAULT_SOLVER = "numba"
 OWN: Mapping[str, str] = MappingProxyType(
     {
-        "numba": "cei_gym.alignment.newton:NewtonSolver",
-        "torch": "cei_gym.alignment.newton_torch:TorchNewtonSolver",
-        "paper": "cei_gym.alignment.paper:PaperSolver",
+        "numba": "cei_gym.alignment.solvers.newton:NewtonSolver",
+        "torch": "cei_gym.alignment.solvers.newton_torch:TorchNewtonSolver",
+        "paper": "cei_gym.alignment.solvers.paper:PaperSolver",
     }
 )
 """Where ours are; those that need torch take seconds to import."""

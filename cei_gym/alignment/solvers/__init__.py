@@ -1,0 +1,1 @@
+"""Ways of following a trajectory: ours, and how packages offer theirs."""

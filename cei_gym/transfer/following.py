@@ -1,0 +1,140 @@
+"""Following motions: from the frame-0 basin that demonstrations have chosen, or from another where that goes wrong."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cei_gym.alignment.follow import Follower
+from cei_gym.alignment.judge.reach import Reach
+from cei_gym.alignment.judge.report import AlignmentReport, make_report
+from cei_gym.alignment.options import ContactOptions, SolverOptions
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
+from cei_gym.alignment.retime import pace
+from cei_gym.alignment.start.basins import Basin, choose_modes, judge, judge_basins
+from cei_gym.alignment.start.starts import InitialisationOptions, find_basins
+
+_FIRST_FRAME_ITERATIONS = 200
+_FINALISTS = 8
+_TOLERATED_M = 0.005  # of penetration, and of contact points that miss the source's
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A motion at the target's pace, followed.
+
+    Attributes:
+        frames: (T',) which of the demonstration's frames are shown, in order.
+        motion: at those frames.
+        track: what the target does.
+    """
+
+    frames: np.ndarray
+    motion: Motion
+    track: Track
+
+
+@dataclass(frozen=True)
+class _FollowedFrom(Followed):
+    """And from which basin, and how that went."""
+
+    basin: Basin
+
+    @property
+    def wrong(self) -> bool:
+        b = self.basin
+        return max(b.penetration_m, b.overlap_m, b.contact_miss_m) > _TOLERATED_M or b.torque_share > 1
+
+
+class Following:
+    """Follows motions from basins.
+
+    Args:
+        problem: the target.
+        solver, init, contact: options.
+        stretch, unreachable_mm: see `TransferOptions`.
+    """
+
+    def __init__(
+        self,
+        problem: AlignmentProblem,
+        solver: SolverOptions,
+        init: InitialisationOptions,
+        contact: ContactOptions,
+        stretch: float,
+        unreachable_mm: float,
+    ) -> None:
+        self._problem, self._options, self._init = problem, solver, init
+        self._stretch, self._unreachable_mm = stretch, unreachable_mm
+        self._follower = Follower(problem, solver, contact)
+        self._reach = Reach(problem)
+        self.basins: list[Basin] = []
+        """One a mode, once fitted."""
+        self.finalists: list[Basin] = []
+        """What `fit` judged on all its motions, best first."""
+
+    def fit(self, motions: Sequence[Motion]) -> None:
+        """Choose basins by following candidates through whole motions.
+
+        Raises:
+            CEIError: there are fewer distinct motions than `init.modes`.
+        """
+        first = motions[0]
+        starts = find_basins(self._problem, self._options, first.points_base[0], first.normals_base[0], self._init)
+        # The first demonstration rules most candidates out; the rest decide among the few that are left.
+        few = judge_basins(self._follower, motions[:1], starts, refine=False)[: _FINALISTS * self._init.modes]
+        self.start_from(judge_basins(self._follower, motions, np.array([b.u for b in few])))
+
+    def start_from(self, finalists: Sequence[Basin]) -> None:
+        """Take what was fitted elsewhere.
+
+        Raises:
+            CEIError: there are fewer distinct motions than `init.modes`.
+        """
+        self.finalists = list(finalists)
+        self.basins = choose_modes(self.finalists, self._init.modes)
+
+    def others(self, mode: int) -> list[int]:
+        """Which finalists are not the mode's own basin."""
+        own = self.basins[mode % len(self.basins)]
+        return [i for i, basin in enumerate(self.finalists) if basin is not own]
+
+    def follow(self, motion: Motion, mode: int) -> tuple[Followed, AlignmentReport]:
+        """Follow a motion from its mode's basin, or from the best of the others where that goes wrong."""
+        best = self._follow_from(self.basins[mode % len(self.basins)], motion)
+        report = self.report(best.motion, best.track)
+        if report.unreachable_frames or best.wrong:
+            every = [best, *(self._follow_from(other, motion) for other in self.finalists)]
+            best = min(every, key=lambda followed: followed.basin.cost)
+            report = self.report(best.motion, best.track)
+        return best, report
+
+    def follow_from(self, finalist: int, motion: Motion) -> tuple[Followed, AlignmentReport]:
+        """Follow a motion from one of the finalists, whatever comes of it."""
+        followed = self._follow_from(self.finalists[finalist], motion)
+        return followed, self.report(followed.motion, followed.track)
+
+    def report(self, motion: Motion, track: Track) -> AlignmentReport:
+        """How well a track follows a motion, and what keeps it where it does not."""
+        report = make_report(
+            self._problem,
+            motion.points_base,
+            motion.normals_base,
+            track,
+            self._options.lambda_m,
+            self._unreachable_mm,
+            motion.dt_s,
+            self._follower.penetration(motion, track.u),
+        )
+        if not report.unreachable_frames:
+            return report
+        return replace(report, miss=self._reach.explain(motion, track, int(report.pad_distance_mm.argmax())))
+
+    def _follow_from(self, basin: Basin, motion: Motion) -> _FollowedFrom:
+        points, normals = motion.points_base[:1], motion.normals_base[:1]
+        u0 = self._follower.solver.track(points, normals, basin.u, _FIRST_FRAME_ITERATIONS).u[0]
+        motion = replace(motion, u0=u0)
+        frames, free = pace(self._problem, self._follower.solver, self._options, motion, self._stretch)
+        motion = motion.at(frames)
+        track = self._follower.follow(motion, free)
+        return _FollowedFrom(frames, motion, track, judge(self._follower, [motion], basin.u, [track]))

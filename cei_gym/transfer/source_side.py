@@ -1,0 +1,108 @@
+"""The source's side of a transfer: where its pads and links are in the target's base frame, what it holds and how hard."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from cei_gym.alignment.contact.grip import Grip, onto_objects, opposing_sides, pad_shapes, source_grip
+from cei_gym.alignment.links import link_shapes
+from cei_gym.alignment.options import ContactOptions
+from cei_gym.alignment.problem import Motion, Surroundings
+from cei_gym.demonstration import Demonstration
+from cei_gym.embodiment import Embodiment
+from cei_gym.functional import FunctionalRepresentation
+from cei_gym.kinematics import KinematicTree
+
+_AT_REST = 0.02  # rad/s or m/s: a finger slower than this has stopped
+
+
+class SourceSide:
+    """What a source does in its demonstrations, in the target's base frame.
+
+    Args:
+        representation: of the source.
+        contact: when it holds something, and how hard.
+        T_world_target: (4, 4) pose of the target's base; the source's own if None.
+    """
+
+    def __init__(
+        self, representation: FunctionalRepresentation, contact: ContactOptions, T_world_target: np.ndarray | None
+    ) -> None:
+        self.embodiment: Embodiment = representation.embodiment
+        self.representation, self._contact, self._T_world_target = representation, contact, T_world_target
+        self.tree = KinematicTree(self.embodiment)
+        self._shapes = link_shapes(self.embodiment)
+        self._sides = opposing_sides(representation, self.tree)
+        self._pads = None if self._sides is None else pad_shapes(representation, self._sides)
+
+    def T_world_target(self, demonstration: Demonstration) -> np.ndarray:
+        """(4, 4) pose of the target's base."""
+        return demonstration.scene.T_world_base if self._T_world_target is None else self._T_world_target
+
+    def T_target_source(self, demonstration: Demonstration) -> np.ndarray:
+        """(4, 4) pose of the source's base in the target's, or (T, 4, 4) where the source is displaced."""
+        T_world_source, moved = demonstration.scene.T_world_base, demonstration.displacement
+        if moved is not None:
+            T_world_source = moved.T_world_source @ T_world_source
+        return np.linalg.inv(self.T_world_target(demonstration)) @ T_world_source
+
+    def links(self, demonstration: Demonstration) -> np.ndarray:
+        """(T, L, 4, 4) poses of the source's links in the target's base frame."""
+        return self.T_target_source(demonstration)[..., None, :, :] @ self.tree.forward(demonstration.qpos)
+
+    def hand(self, demonstration: Demonstration) -> np.ndarray:
+        """(T, 4, 4) pose of the end-effector's root in the target's base frame."""
+        return self.links(demonstration)[:, self.embodiment.end_effector_root]
+
+    def place(self, qpos: np.ndarray, T_target_source: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points and normals (..., N, 3) in the target's base frame, at (..., n) joint positions.
+
+        T_target_source is (4, 4), or (..., 4, 4): one for each.
+        """
+        return self.representation.place(T_target_source[..., None, :, :] @ self.tree.forward(qpos))
+
+    def support_z_m(self, demonstration: Demonstration) -> float:
+        """Height of the support surface in the target's base frame: the scene's, or lower where the source itself went lower."""
+        scene = demonstration.scene
+        lowest_world = self._shapes.lowest(scene.T_world_base @ self.tree.forward(demonstration.qpos))
+        # Bases stand upright, so a height in the world and one in the base frame differ by the base's own.
+        return min(scene.support_z_m, lowest_world) - float(self.T_world_target(demonstration)[2, 3])
+
+    def motion(self, demonstration: Demonstration, u0: np.ndarray) -> Motion:
+        """What the source's pads do over the support surface, and its grip; it starts from (m,) joints of the target."""
+        points, normals = self.place(demonstration.qpos, self.T_target_source(demonstration))
+        motion = Motion(points, normals, u0, dt_s=1.0 / demonstration.fps)
+        surroundings = Surroundings(self.support_z_m(demonstration))
+        return replace(motion, grip=self._grip(demonstration, motion), surroundings=surroundings)
+
+    def among(self, demonstration: Demonstration, motion: Motion, obstacles_base: list[np.ndarray]) -> Motion:
+        """The motion among objects, (P, 3) points of each frame in the target's base frame: grips are where objects are."""
+        assert motion.surroundings is not None
+        grip = motion.grip
+        if grip is not None and self._pads is not None and len(obstacles_base):
+            pads = np.concatenate(self._pads.place(self.links(demonstration)), axis=1)
+            grip = onto_objects(grip, pads, obstacles_base, self._contact.grip_radius_m)
+        return replace(motion, grip=grip, surroundings=replace(motion.surroundings, obstacles_base=obstacles_base))
+
+    def squeeze_m(self, demonstration: Demonstration, motion: Motion) -> np.ndarray:
+        """(T,) how far the pads press into what they hold, m."""
+        return np.clip(self._closing_m(demonstration, motion), 0.0, self._contact.squeeze_m)
+
+    def _closing_m(self, demonstration: Demonstration, motion: Motion) -> np.ndarray:
+        """(T,) how far each pad is told to go beyond where it is, in the mean, m."""
+        commanded = demonstration.qpos.copy()
+        hand = slice(self.embodiment.n_arm, None)
+        commanded[:, hand] = demonstration.action[:, hand]
+        wanted, _ = self.place(commanded, self.T_target_source(demonstration))
+        return np.einsum("tni,tni->tn", wanted - motion.points_base, motion.normals_base).mean(axis=1)
+
+    def _grip(self, demonstration: Demonstration, motion: Motion) -> Grip | None:
+        if self._sides is None:
+            return None
+        # Told to close, but at rest: something is in between.
+        hand = demonstration.qpos[:, self.embodiment.n_arm :]
+        moves = (np.abs(np.diff(hand, axis=0)) * demonstration.fps > _AT_REST).any(axis=1)
+        at_rest = ~np.append(False, moves) & ~np.append(moves, False)  # neither on its way nor about to set out
+        held = (self._closing_m(demonstration, motion) > self._contact.held_m) & at_rest
+        root = self.embodiment.end_effector_root
+        return source_grip(self.representation, self._sides, root, self.links(demonstration), held)
