@@ -38,12 +38,12 @@ from cei_gym.alignment import (
     SolverOptions,
     Stream,
     Track,
-    find_basins,
-    make_report,
     make_solver,
 )
+from cei_gym.alignment.judge.report import make_report
 from cei_gym.alignment.kernels import distance
 from cei_gym.alignment.kernels.target import empty_pose, empty_source, load_source, make_target
+from cei_gym.alignment.start.starts import find_basins
 from cei_gym.embodiment import load_embodiment
 from cei_gym.functional import directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree

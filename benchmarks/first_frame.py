@@ -15,9 +15,9 @@ import numpy as np
 from measure import save
 from rich.progress import track
 
-from cei_gym.alignment import AlignmentProblem, InitialisationOptions, SolverOptions, find_basins
+from cei_gym.alignment import AlignmentProblem, InitialisationOptions, SolverOptions
 from cei_gym.alignment.solvers.newton import NewtonSolver
-from cei_gym.alignment.start.starts import random_starts
+from cei_gym.alignment.start.starts import find_basins, random_starts
 from cei_gym.embodiment import ARMS, load_embodiment
 from cei_gym.functional import directional_chamfer_distance, sample_representation
 from cei_gym.kinematics import KinematicTree

@@ -112,7 +112,7 @@ def steps(root: Path, target: str, count: int) -> dict[str, float]:
     transfer, watch = Transfer(reader.embodiment, load_embodiment(target)), Stopwatch()
     transfer.fit([reader.read(i) for i in range(min(8, len(reader)))])
     transfer(reader.read(0))  # compiles
-    synthesiser = transfer._synthesiser
+    synthesiser = transfer.synthesiser
     synthesiser.remove = watch.timed("remove the source", synthesiser.remove)
     synthesiser.add = watch.timed("add the target, thin", synthesiser.add)
     with DatasetWriter("benchmark/steps", root.with_name("steps")) as writer:

@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from cei_gym.alignment import AlignmentProblem, Stream, find_basins, squeeze
+from cei_gym.alignment import AlignmentProblem, Stream
+from cei_gym.alignment.contact.squeeze import squeeze
 from cei_gym.alignment.solvers.make import make_second_order_solver
+from cei_gym.alignment.start.starts import find_basins
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
 from cei_gym.transfer import Transfer

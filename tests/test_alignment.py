@@ -12,21 +12,20 @@ from hypothesis import strategies as st
 
 from cei_gym.alignment import (
     AlignmentProblem,
-    Clearance,
     ClearanceOptions,
-    Follower,
     InitialisationOptions,
     Motion,
     PaperOptions,
     SolverOptions,
     Surroundings,
-    find_basins,
-    judge_basins,
     make_solver,
 )
+from cei_gym.alignment.follow import Follower
+from cei_gym.alignment.judge.clearance import Clearance
 from cei_gym.alignment.judge.report import make_report
 from cei_gym.alignment.solvers.newton import NewtonSolver
-from cei_gym.alignment.start.starts import active_joints, random_starts
+from cei_gym.alignment.start.basins import judge_basins
+from cei_gym.alignment.start.starts import active_joints, find_basins, random_starts
 from cei_gym.embodiment import END_EFFECTORS, load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance, sample_representation
@@ -273,7 +272,8 @@ def test_bad_options_are_refused(changes: dict, message: str) -> None:
 def test_compiled_code_is_read_from_disk_by_the_next_process() -> None:
     code = """
 import numpy as np
-from cei_gym.alignment import AlignmentProblem, SolverOptions, make_solver, newton
+from cei_gym.alignment import AlignmentProblem, SolverOptions, make_solver
+from cei_gym.alignment.solvers import newton
 from cei_gym.embodiment import load_embodiment
 from cei_gym.functional import sample_representation
 from cei_gym.kinematics import KinematicTree

@@ -19,30 +19,33 @@ from cei_gym.alignment import (
     AlignmentProblem,
     ClearanceOptions,
     ContactOptions,
-    Follower,
-    Grip,
     InitialisationOptions,
     Motion,
     SolverOptions,
     Surroundings,
     Track,
-    find_basins,
-    link_shapes,
     make_solver,
+)
+from cei_gym.alignment.contact.grip import (
+    SOFTNESS_M,
+    Grip,
+    in_grip,
     onto_objects,
     opposing_sides,
-    pace,
+    pad_shapes,
     source_grip,
-    squeeze,
 )
-from cei_gym.alignment.contact.grip import SOFTNESS_M, in_grip, pad_shapes
 from cei_gym.alignment.contact.refine import GraspRefiner
+from cei_gym.alignment.contact.squeeze import squeeze
+from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.kernels import grasp as kernels
 from cei_gym.alignment.kernels import keep_out
 from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.frame import empty_memory
 from cei_gym.alignment.kernels.target import empty_pose, make_target
-from cei_gym.alignment.links import keep_nothing_out, keep_out_links
+from cei_gym.alignment.links import keep_nothing_out, keep_out_links, link_shapes
+from cei_gym.alignment.retime import pace
+from cei_gym.alignment.start.starts import find_basins
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import END_EFFECTORS, Embodiment, Pad, load_embodiment
 from cei_gym.embodiment.meshes import outermost
@@ -702,7 +705,7 @@ def transferred_grip(demonstration: Demonstration, T_world_target: np.ndarray | 
     transfer = Transfer(
         *bodies, TransferOptions(points=32), clouds=CloudOptions(robot_points=64), T_world_target=T_world_target
     )
-    return transfer._motion(demonstration).grip
+    return transfer.motion(demonstration).grip
 
 
 def test_something_is_held_while_a_gripper_at_rest_is_told_to_close_further() -> None:

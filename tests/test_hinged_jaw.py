@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cei_gym.alignment import Clearance, ClearanceOptions, opposing_sides, source_grip
+from cei_gym.alignment import ClearanceOptions
+from cei_gym.alignment.contact.grip import opposing_sides, source_grip
+from cei_gym.alignment.judge.clearance import Clearance
 from cei_gym.embodiment import ArmSpec, Embodiment, EndEffectorSpec, Pad, build_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import sample_representation

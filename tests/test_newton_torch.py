@@ -12,19 +12,19 @@ from hypothesis import strategies as st
 from cei_gym.alignment import (
     AlignmentProblem,
     ClearanceOptions,
-    Follower,
     InitialisationOptions,
     Motion,
     SolverOptions,
     Surroundings,
     Track,
-    find_basins,
     make_solver,
 )
+from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.solvers.newton import NewtonSolver
 from cei_gym.alignment.solvers.newton_torch import TorchNewtonSolver
 from cei_gym.alignment.solvers.paper import PaperSolver
+from cei_gym.alignment.start.starts import find_basins
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance, sample_representation

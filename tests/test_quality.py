@@ -14,7 +14,10 @@ from cei_converters import convert
 from cei_converters.conversion.gate import Gate
 from cei_converters.dataset.records import Records
 from cei_converters.sources.reader import DatasetReader
-from cei_gym.alignment import AlignmentProblem, AlignmentReport, Clearance, Penetration, Track, assess, make_report
+from cei_gym.alignment import AlignmentProblem, AlignmentReport, Track
+from cei_gym.alignment.judge.clearance import Clearance, Penetration
+from cei_gym.alignment.judge.quality import assess
+from cei_gym.alignment.judge.report import make_report
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import sample_representation

@@ -6,16 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cei_gym.alignment import (
-    AlignmentProblem,
-    ContactOptions,
-    Follower,
-    Motion,
-    Reach,
-    SolverOptions,
-    opposing_sides,
-    source_grip,
-)
+from cei_gym.alignment import AlignmentProblem, ContactOptions, Motion, SolverOptions
+from cei_gym.alignment.contact.grip import opposing_sides, source_grip
+from cei_gym.alignment.follow import Follower
+from cei_gym.alignment.judge.reach import Reach
 from cei_gym.embodiment import load_embodiment
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
 from cei_gym.functional import sample_representation

@@ -8,20 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cei_gym.alignment import (
-    AlignmentProblem,
-    Basin,
-    Follower,
-    InitialisationOptions,
-    Motion,
-    SolverOptions,
-    choose_modes,
-    find_basins,
-    judge_basins,
-    make_solver,
-)
+from cei_gym.alignment import AlignmentProblem, InitialisationOptions, Motion, SolverOptions, make_solver
+from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.solvers.newton import NewtonSolver
-from cei_gym.alignment.start.starts import elite_starts, random_starts, unwrap
+from cei_gym.alignment.start.basins import Basin, choose_modes, judge_basins
+from cei_gym.alignment.start.starts import elite_starts, find_basins, random_starts, unwrap
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance, sample_representation

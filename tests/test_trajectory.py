@@ -12,20 +12,20 @@ from hypothesis import strategies as st
 
 from cei_gym.alignment import (
     AlignmentProblem,
-    Clearance,
     ClearanceOptions,
-    Follower,
     InitialisationOptions,
     Motion,
     SolverOptions,
     Stream,
     Surroundings,
-    find_basins,
     make_solver,
 )
+from cei_gym.alignment.follow import Follower
+from cei_gym.alignment.judge.clearance import Clearance
 from cei_gym.alignment.kernels import frame, keep_out
 from cei_gym.alignment.kernels.target import load_source, make_target
 from cei_gym.alignment.links import LinkShapes, idle_bodies, keep_out_links, link_shapes, pack_obstacles
+from cei_gym.alignment.start.starts import find_basins
 from cei_gym.embodiment import load_embodiment
 from cei_gym.functional import sample_representation
 from cei_gym.kinematics import KinematicTree

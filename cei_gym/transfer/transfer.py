@@ -65,7 +65,8 @@ class Transfer:
             sample_representation(target, o.points, o.seed, o.representation), KinematicTree(target)
         )
         self._side = SourceSide(representation, self.contact, T_world_target)
-        self._scenes = Scenes(CloudSynthesiser(source, target, clouds))
+        self.synthesiser = CloudSynthesiser(source, target, clouds)
+        self._scenes = Scenes(self.synthesiser)
         self.clouds = self._scenes.options
         self._following = Following(
             self.problem, self.solver_options, self.init, self.contact, o.stretch, o.unreachable_mm
@@ -94,13 +95,13 @@ class Transfer:
         """
         if self._specified is not None:
             first = demonstrations[0]
-            self._specified.fit(first.qpos, self._side.T_target_source(first), self._motion(first))
+            self._specified.fit(first.qpos, self._side.T_target_source(first), self.motion(first))
             return
         motions = []
         for demonstration in demonstrations:
             if demonstration.point_cloud_world is not None:  # enough here, and quicker
                 demonstration = replace(demonstration, depth_m={}, rgb={})
-            motions.append(self._motion(demonstration, self._scenes.without_source(demonstration)))
+            motions.append(self.motion(demonstration, self._scenes.without_source(demonstration)))
         self._following.fit(motions)
 
     def start_from(self, finalists: Sequence[Basin]) -> None:
@@ -139,7 +140,7 @@ class Transfer:
             other = self._with_pads(attempt.representation)
             return other(demonstration, mode, attempt=replace(attempt, representation=None), clouds=clouds)
         scenes = self._scenes.without_source(demonstration)
-        followed, report = self._follow(demonstration, self._motion(demonstration, scenes), mode, attempt)
+        followed, report = self._follow(demonstration, self.motion(demonstration, scenes), mode, attempt)
         frames, track = followed.frames, followed.track
         demonstration, scenes = demonstration.at(frames), [scenes[t] for t in frames] if scenes else scenes
         closing = track.u
@@ -186,14 +187,19 @@ class Transfer:
 
     def handling(self, demonstration: Demonstration) -> Handling:
         """What the source does to objects, as recorded: for spatial augmentation."""
-        motion = self._motion(demonstration)
+        motion = self.motion(demonstration)
         T_world_target = self._side.T_world_target(demonstration)
         held = np.zeros(len(demonstration), bool) if motion.grip is None else motion.grip.held
         middle = motion.points_base.mean(axis=1) @ T_world_target[:3, :3].T + T_world_target[:3, 3]
         return Handling(held, middle, T_world_target @ self._side.hand(demonstration))
 
-    def _motion(self, demonstration: Demonstration, scenes: Sequence[np.ndarray] = ()) -> Motion:
-        """What the source's pads do, in the target's base frame, among what was seen; it starts from the target's home."""
+    def motion(self, demonstration: Demonstration, scenes: Sequence[np.ndarray] = ()) -> Motion:
+        """What the source's pads do, in the target's base frame; it starts from the target's home.
+
+        Args:
+            demonstration: of the source.
+            scenes: for each frame (M, 3 or 6) points that were seen beside the source, world, m: what is near becomes obstacles.
+        """
         motion = self._side.motion(demonstration, self.target.coupled.reduce(self.target.home))
         if not len(scenes):
             return motion

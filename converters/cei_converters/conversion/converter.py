@@ -24,7 +24,7 @@ from cei_gym.errors import CEIError
 from cei_gym.transfer import Transfer
 
 if TYPE_CHECKING:
-    from cei_gym.alignment import Basin
+    from cei_gym.alignment.start.basins import Basin
 
 # the frame-0 basin is chosen on this many episodes, spread over the dataset, however large it is
 FIT_EPISODES = 8

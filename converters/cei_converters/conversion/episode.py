@@ -6,7 +6,8 @@ from typing import Any, Self
 from cei_converters.conversion.verify import Verdict
 from cei_converters.dataset.episodes import EncodedEpisode
 from cei_converters.dataset.writer import Header
-from cei_gym.alignment import AlignmentReport, Quality
+from cei_gym.alignment import AlignmentReport
+from cei_gym.alignment.judge.quality import Quality
 from cei_gym.augmentation import Offset
 from cei_gym.demonstration import Demonstration
 

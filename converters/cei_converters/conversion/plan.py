@@ -12,7 +12,7 @@ from draccus.utils import DraccusException
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.conversion.survey import LOWEST
 from cei_converters.dataset.metadata import Provenance, plain
-from cei_gym.alignment import Basin
+from cei_gym.alignment.start.basins import Basin
 from cei_gym.errors import CEIError
 
 BY_CONTENT = ("calibration", "joint_map")

@@ -20,7 +20,7 @@ from cei_converters.dataset.episodes import encode_episode
 from cei_converters.dataset.metadata import plain
 from cei_converters.dataset.writer import Header
 from cei_gym import plugins
-from cei_gym.alignment import assess
+from cei_gym.alignment.judge.quality import assess
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:

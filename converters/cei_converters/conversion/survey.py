@@ -6,7 +6,7 @@ import numpy as np
 
 from cei_converters.sources.recording import spread
 from cei_converters.sources.source import Source
-from cei_gym.alignment import link_shapes
+from cei_gym.alignment.links import link_shapes
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cei_gym.alignment import AlignmentProblem, SolverOptions, pad_residuals
+from cei_gym.alignment import AlignmentProblem, SolverOptions
+from cei_gym.alignment.judge.report import pad_residuals
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
