@@ -26,22 +26,17 @@ from cei_gym.alignment import (
     Track,
     make_solver,
 )
-from cei_gym.alignment.contact.grip import (
-    SOFTNESS_M,
-    Grip,
-    in_grip,
-    onto_objects,
-    opposing_sides,
-    pad_shapes,
-    source_grip,
-)
+from cei_gym.alignment.contact.observed import onto_objects, source_grip
+from cei_gym.alignment.contact.pads import opposing_sides, pad_shapes
 from cei_gym.alignment.contact.refine import GraspRefiner
 from cei_gym.alignment.contact.squeeze import squeeze
 from cei_gym.alignment.follow import Follower
-from cei_gym.alignment.kernels import grasp as kernels
-from cei_gym.alignment.kernels import keep_out
+from cei_gym.alignment.grip import Grip
+from cei_gym.alignment.kernels import contact, keep_out
+from cei_gym.alignment.kernels.contact import SOFTNESS_M, in_grip
 from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.frame import empty_memory
+from cei_gym.alignment.kernels.quadratic import project
 from cei_gym.alignment.kernels.target import empty_pose, make_target
 from cei_gym.alignment.links import keep_nothing_out, keep_out_links, link_shapes
 from cei_gym.alignment.retime import pace
@@ -329,7 +324,7 @@ def test_a_pad_touches_where_it_reaches_farthest(name: str, seed: int) -> None:
     axis /= np.linalg.norm(axis)
     pose, points = empty_pose(target, 1), np.empty((len(grasp.joint), 3))
     place_joints(target, u, pose)
-    kernels.contact_points(grasp, pose, axis, points)
+    contact.contact_points(grasp, pose, axis, points)
     data = mujoco_data(embodiment, embodiment.coupled.expand(u))
     sides = opposing_sides(problem.representation, problem.tree)
     for pad, point in zip(embodiment.end_effector.pads, points, strict=True):
@@ -646,7 +641,7 @@ def test_the_energys_gradient_is_its_finite_difference(name: str, seed: int) -> 
     palm = grasp.palm
     axis = rng.normal(size=3)
     axis /= np.linalg.norm(axis)
-    kernels.contact_points(grasp, memory.pose, axis, points)
+    contact.contact_points(grasp, memory.pose, axis, points)
     wishes = {
         "axis": axis,
         "contacts": points.mean(axis=0) + rng.normal(0, 0.02, (2, 3)),
@@ -655,19 +650,21 @@ def test_the_energys_gradient_is_its_finite_difference(name: str, seed: int) -> 
         "position": memory.pose.pos[palm] + rng.normal(0, 0.05, 3),
         "posture": np.zeros(len(u)),
     }
-    weights = {name: rng.uniform(50, 300) for name in kernels.Wish._fields if name not in wishes}
+    weights = {name: rng.uniform(50, 300) for name in contact.GraspTarget._fields if name not in wishes}
     if "facing" in weights:
         weights["facing"] = 5.0
-    wish = kernels.Wish(**wishes, **(weights | {"turning": 1e4}))
+    wish = contact.GraspTarget(**wishes, **(weights | {"turning": 1e4}))
     nothing = np.zeros((0, 3))
-    links = kernels.Links(keep_nothing_out(), keep_nothing_out(), nothing, nothing)
+    links = contact.Links(keep_nothing_out(), keep_nothing_out(), nothing, nothing)
 
     def energy(u: np.ndarray, derivatives: bool = False) -> float:
-        return kernels._energy(target, grasp, links, wish, u, u, memory.pose, points, memory.quadratic, derivatives)
+        return contact.grasp_energy(
+            target, grasp, links, wish, u, u, memory.pose, points, memory.quadratic, derivatives
+        )
 
     value = energy(u)
     assert energy(u, derivatives=True) == pytest.approx(value)
-    kernels.project(target, np.zeros(3), memory.pose, memory.quadratic)
+    project(target, np.zeros(3), memory.pose, memory.quadratic)
     gradient, hessian = memory.quadratic.gradient.copy(), memory.quadratic.hessian.copy()
     h = 1e-6
     numeric = np.array([(energy(u + h * e) - energy(u - h * e)) / (2 * h) for e in np.eye(len(u))])

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from cei_gym.alignment import ClearanceOptions
-from cei_gym.alignment.contact.grip import opposing_sides, source_grip
+from cei_gym.alignment.contact.observed import source_grip
+from cei_gym.alignment.contact.pads import opposing_sides
 from cei_gym.alignment.judge.clearance import Clearance
 from cei_gym.embodiment import ArmSpec, Embodiment, EndEffectorSpec, Pad, build_embodiment
 from cei_gym.errors import CEIError

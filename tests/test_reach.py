@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from cei_gym.alignment import AlignmentProblem, ContactOptions, Motion, SolverOptions
-from cei_gym.alignment.contact.grip import opposing_sides, source_grip
+from cei_gym.alignment.contact.observed import source_grip
+from cei_gym.alignment.contact.pads import opposing_sides
 from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.judge.reach import Reach
 from cei_gym.embodiment import load_embodiment

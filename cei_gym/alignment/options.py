@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cei_gym.alignment.solvers.registry import DEFAULT_SOLVER, OWN, solver_names
+from cei_gym.alignment.registry import DEFAULT_SOLVER, OWN, solver_names
 from cei_gym.errors import CEIError, unknown
 from cei_gym.functional.distance import DEFAULT_DIRECTION_WEIGHT_M
 

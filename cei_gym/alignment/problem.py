@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cei_gym.alignment.contact.grip import Grip
+from cei_gym.alignment.grip import Grip
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.functional.representation import FunctionalRepresentation
 from cei_gym.kinematics.tree import KinematicTree

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cei_gym.alignment.contact.grip import Grip, onto_objects, opposing_sides, pad_shapes, source_grip
+from cei_gym.alignment.contact.observed import onto_objects, source_grip
+from cei_gym.alignment.contact.pads import opposing_sides, pad_shapes
+from cei_gym.alignment.grip import Grip
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.options import ContactOptions
 from cei_gym.alignment.problem import Motion, Surroundings

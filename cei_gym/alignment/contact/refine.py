@@ -10,8 +10,10 @@ from functools import cached_property
 
 import numpy as np
 
-from cei_gym.alignment.contact.grip import Grip, in_grip, opposing_sides, pad_shapes
+from cei_gym.alignment.contact.pads import opposing_sides, pad_shapes
+from cei_gym.alignment.grip import Grip
 from cei_gym.alignment.kernels import grasp as kernels
+from cei_gym.alignment.kernels.contact import Grasp, in_grip
 from cei_gym.alignment.kernels.distance import distances
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
@@ -53,7 +55,7 @@ class GraspRefiner:
             pads,
             *around,
             *elsewhere,
-            kernels.Grip(grip.axis, grip.contacts, grip.position, grip.rotation, grip.held, reference),
+            kernels.GripArrays(grip.axis, grip.contacts, grip.position, grip.rotation, grip.held, reference),
             (motion.dt_s or 0.0) * self._options.velocity_scale,
             np.ascontiguousarray(track.u, float),
         )
@@ -90,7 +92,7 @@ class GraspRefiner:
         for body in pads.body:
             mean = problem.representation.normals_link[problem.representation.body == body].mean(axis=0)
             normals.append(attachment.rot[body] @ mean / np.linalg.norm(mean))
-        grasp = kernels.Grasp(
+        grasp = Grasp(
             joint=attachment.joint[pads.body],
             side=side,
             share=1.0 / np.where(side == 0, (side == 0).sum(), (side == 1).sum()),

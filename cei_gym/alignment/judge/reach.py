@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cei_gym.alignment.contact.grip import opposing_sides
+from cei_gym.alignment.contact.pads import opposing_sides
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 
 _SAMPLES = 4096

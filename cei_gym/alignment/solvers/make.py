@@ -5,7 +5,7 @@ from pkgutil import resolve_name
 from cei_gym import plugins
 from cei_gym.alignment.options import AUTO, SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem
-from cei_gym.alignment.solvers.registry import DEFAULT_SOLVER, GROUP, OWN
+from cei_gym.alignment.registry import DEFAULT_SOLVER, GROUP, OWN
 from cei_gym.alignment.solvers.solver import SecondOrderSolver, Solver
 
 

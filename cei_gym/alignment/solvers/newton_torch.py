@@ -21,7 +21,8 @@ from cei_gym.alignment.options import SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
 from cei_gym.alignment.solvers.device import choose_device, widest_real
 from cei_gym.alignment.solvers.solver import SecondOrderSolver
-from cei_gym.alignment.solvers.torch_model import Pose, Sources, TorchModel
+from cei_gym.alignment.solvers.torch_model import TorchModel
+from cei_gym.alignment.solvers.torch_records import BatchPose, Sources
 
 
 class _State(NamedTuple):
@@ -232,7 +233,7 @@ class TorchNewtonSolver(SecondOrderSolver):
         )
 
 
-def _evaluate(model: TorchModel, sources: Sources, s: _State) -> tuple[Tensor, Tensor, Tensor, Pose]:
+def _evaluate(model: TorchModel, sources: Sources, s: _State) -> tuple[Tensor, Tensor, Tensor, BatchPose]:
     """Candidates (B, m), or for a frame's start the continuation of its motion where that is better.
 
     Returns:

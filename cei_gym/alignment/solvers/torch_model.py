@@ -5,7 +5,6 @@ each a configuration against one frame of a source.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -14,50 +13,13 @@ from torch import Tensor
 from cei_gym.alignment.kernels.keep_out import KeepOut
 from cei_gym.alignment.kernels.target import Target
 from cei_gym.alignment.problem import Motion
+from cei_gym.alignment.solvers.torch_records import BatchPose, Sources
+from cei_gym.alignment.solvers.torch_tree import ancestors, carried_by, coupling, motions, placing
 
 _SMOOTHING_M = 1e-3  # see `kernels.quadratic`
 _FAR_M = 1e6  # where obstacle points are that only fill an array
 _PAIRS_AT_ONCE = {"cpu": 1 << 17}  # what matching compares: a CPU's cache holds them
 _MOST_PAIRS_AT_ONCE = 1 << 27  # elsewhere: 2 GB
-
-
-class Sources(NamedTuple):
-    """Frames of sources about their centroids, in the target's base frame.
-
-    Attributes:
-        origin: (F, 3) centroids, m.
-        pairs: (F, 6, N) points minus origin, m, and unit normals.
-        height: (F,) of the support surface, m.
-        obstacles: (F, P, 3) points on objects minus origin, m.
-    """
-
-    origin: Tensor
-    pairs: Tensor
-    height: Tensor
-    obstacles: Tensor
-
-
-class Pose(NamedTuple):
-    """B problems, each at one configuration, and what its matches amount to.
-
-    Attributes:
-        frames: (B, n + 1, 4, 4) joint frames about the source's centroid; the last is the base.
-        pairs: (B, 6, N') target pairs.
-        pull: (B, 8, N') of each target pair: force, summed lambda weight times source normals, and the sums of
-            weight / d and of lambda weight.
-        lacking: (B, C) clearance that links lack, m; 0 where they have enough.
-        wrench: (B, C, 6) how links move out, linear then about the centroid.
-    """
-
-    frames: Tensor
-    pairs: Tensor
-    pull: Tensor
-    lacking: Tensor
-    wrench: Tensor
-
-    def take(self, rows: Tensor) -> "Pose":
-        """Some of the problems, or some several times."""
-        return Pose(*(x[rows] for x in self))
 
 
 class TorchModel:
@@ -78,15 +40,15 @@ class TorchModel:
         self.lower, self.upper, self.fastest = real(target.lower), real(target.upper), real(target.fastest)
         joints, n = target.joints, len(target.leader)
         self._leader, self._scale = whole(target.leader), real(target.scale)
-        self._shift, self._fold = real(target.offset - joints.reference), real(_coupling(target))
-        self._motion, self._axis = real(_motions(joints)), real(joints.axis)
+        self._shift, self._fold = real(target.offset - joints.reference), real(coupling(target))
+        self._motion, self._axis = real(motions(joints)), real(joints.axis)
         self._hinge = torch.as_tensor(joints.hinge, device=device)[:, None]
-        self._up = [whole(up) for up in _ancestors(joints.parent)]
-        carried = _carried_by(joints.parent)  # (n + 1, n): rows are joints and the base
+        self._up = [whole(up) for up in ancestors(joints.parent)]
+        carried = carried_by(joints.parent)  # (n + 1, n): rows are joints and the base
         self._above = real(carried[:n])
         self._moves = real(carried[target.pad_joint])
         carriers, which = np.unique(target.pad_joint, return_inverse=True)
-        self._carriers, self._pads = whole(carriers % (n + 1)), real(_placing(target.pads, which, len(carriers)))
+        self._carriers, self._pads = whole(carriers % (n + 1)), real(placing(target.pads, which, len(carriers)))
         self._links = None if keep_out is None or keep_out.weight <= 0 else _Links(self, keep_out, carried)
 
     def tensor(self, x) -> Tensor:
@@ -105,7 +67,7 @@ class TorchModel:
         height, obstacles = _surroundings(motions)
         return Sources(self.tensor(origin), pairs, self.tensor(height), self.tensor(obstacles - origin[:, None]))
 
-    def evaluate(self, u: Tensor, sources: Sources, frame: Tensor) -> tuple[Tensor, Tensor, Pose]:
+    def evaluate(self, u: Tensor, sources: Sources, frame: Tensor) -> tuple[Tensor, Tensor, BatchPose]:
         """The objective of configurations (B, m), each for one of the sources' frames, by its index (B,).
 
         Returns:
@@ -124,9 +86,9 @@ class TorchModel:
                 frames, sources.height[frame] - origin[:, 2], sources.obstacles[frame]
             )
             penalty = 0.5 * self._links.weight * lacking.square().sum(1)
-        return there + here, penalty, Pose(frames, pairs, pull, lacking, wrench)
+        return there + here, penalty, BatchPose(frames, pairs, pull, lacking, wrench)
 
-    def derivatives(self, pose: Pose) -> tuple[Tensor, Tensor]:
+    def derivatives(self, pose: BatchPose) -> tuple[Tensor, Tensor]:
         """Gradient (B, m) and Hessian (B, m, m) of the majoriser and of the penalty, in the independent joints."""
         force, weight, lever, moment = self._loads(pose)
         screw = self._screws(pose.frames)
@@ -171,7 +133,7 @@ class TorchModel:
         axis = (frames[..., :3, :3] @ self._axis[..., None])[..., 0]
         return torch.cat([torch.where(self._hinge, _cross(frames[..., :3, 3], axis), axis), self._hinge * axis], 2)
 
-    def _loads(self, pose: Pose) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def _loads(self, pose: BatchPose) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Sums over all pads that each joint carries.
 
         Returns:
@@ -190,7 +152,7 @@ class TorchModel:
         return force, weight, lever, moment.unflatten(2, (3, 3))
 
     def _meet(self, source: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
-        """(B,) mean cost of matched pairs (B, 6, K), m, and (B, 8, K) how they pull; see `Pose`."""
+        """(B,) mean cost of matched pairs (B, 6, K), m, and (B, 8, K) how they pull; see `BatchPose`."""
         share = 1.0 / source.shape[2]
         offset, normal = target[:, :3] - source[:, :3], source[:, 3:]
         squared = offset.square().sum(1, keepdim=True)
@@ -218,7 +180,7 @@ class _Links:
         self._directions, self._reach = model.tensor(keep_out.directions), model.tensor(keep_out.reach[idle])
 
     def contacts(self, frames: Tensor, height: Tensor, obstacles: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, C) lacking clearance, m, and (B, C, 6) wrenches; see `Pose`."""
+        """(B, C) lacking clearance, m, and (B, C, 6) wrenches; see `BatchPose`."""
         found = self._surface(frames, height), self._objects(frames, obstacles)
         lacking, point, normal = (torch.cat(x, dim=1) for x in zip(*found, strict=True))
         return lacking.clamp(min=0), torch.cat([normal, _cross(point, normal)], dim=2)
@@ -295,54 +257,3 @@ def _surroundings(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
     for row, points in zip(filled, obstacles, strict=True):
         row[: len(points)] = points
     return np.array(heights), filled
-
-
-def _motions(joints) -> np.ndarray:
-    """(n, 4, 16) a joint's own transform as a sum over 1, sin q, 1 - cos q (Rodrigues' formula) and q."""
-    x, y, z = joints.axis.T
-    cross = np.zeros((len(x), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
-    cross = (cross - cross.transpose(0, 2, 1)) * joints.hinge[:, None, None]
-    terms = np.zeros((len(x), 4, 4, 4))
-    terms[:, 0, :3, :3], terms[:, 0, :3, 3], terms[:, 0, 3, 3] = joints.rot, joints.pos, 1
-    terms[:, 1, :3, :3], terms[:, 2, :3, :3] = joints.rot @ cross, joints.rot @ cross @ cross
-    terms[:, 3, :3, 3] = np.einsum("nij,nj->ni", joints.rot, joints.axis) * ~joints.hinge[:, None]
-    return terms.reshape(len(x), 4, 16)
-
-
-def _ancestors(parent: np.ndarray) -> list[np.ndarray]:
-    """(n + 1,) of each joint and the base, the last: the ancestors 1, 2, 4, ... up, as far as there are any.
-
-    Transforms multiplied with those of these ancestors in turn reach the base in as many products as a chain's length
-    has bits.
-    """
-    base = len(parent)
-    up, found = np.append(np.where(parent < 0, base, parent), base), []
-    while (up != base).any():
-        found.append(up)
-        up = up[up]
-    return found
-
-
-def _carried_by(parent: np.ndarray) -> np.ndarray:
-    """(n + 1, n) whether a joint (the last row: the base) is moved by each joint."""
-    carried = np.eye(len(parent) + 1, len(parent), dtype=bool)
-    for k, up in enumerate(parent):
-        carried[k] |= carried[up]
-    return carried
-
-
-def _coupling(target: Target) -> np.ndarray:
-    """(n, m) how joints follow the independent ones."""
-    coupling = np.zeros((len(target.leader), len(target.lower)))
-    coupling[np.arange(len(target.leader)), target.leader] = target.scale
-    return coupling
-
-
-def _placing(pads: np.ndarray, carrier: np.ndarray, carriers: int) -> np.ndarray:
-    """(4 K, 2 N') what rows of K frames, side by side, are multiplied with to place points and normals."""
-    placing, each = np.zeros((carriers, 4, 2, len(pads))), np.arange(len(pads))
-    for i in range(3):
-        placing[carrier, i, 0, each], placing[carrier, i, 1, each] = pads[:, i], pads[:, 3 + i]
-    placing[carrier, 3, 0, each] = 1
-    return placing.reshape(4 * carriers, 2 * len(pads))
