@@ -28,12 +28,9 @@ from cei_gym.embodiment import (
     load_end_effector,
     load_spec,
 )
-from cei_gym.embodiment.embodiment import (
-    DEFAULT_MAX_VELOCITY_M_S,
-    DEFAULT_MAX_VELOCITY_RAD_S,
-    END_EFFECTOR_PREFIX,
-)
+from cei_gym.embodiment.building import DEFAULT_MAX_VELOCITY_M_S, DEFAULT_MAX_VELOCITY_RAD_S
 from cei_gym.embodiment.meshes import link_mesh, visual_link_meshes
+from cei_gym.embodiment.names import END_EFFECTOR_PREFIX
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
 from cei_gym.kinematics.torch_chain import TorchChain

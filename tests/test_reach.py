@@ -12,7 +12,7 @@ from cei_gym.alignment.contact.pads import opposing_sides
 from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.judge.reach import Reach
 from cei_gym.embodiment import load_embodiment
-from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
+from cei_gym.embodiment.names import END_EFFECTOR_PREFIX
 from cei_gym.functional import sample_representation
 from cei_gym.kinematics import KinematicTree
 

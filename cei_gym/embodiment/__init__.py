@@ -1,5 +1,6 @@
 """Embodiments: arm x end-effector, from MJCF or URDF and one small typed YAML each."""
 
+from cei_gym.embodiment.building import build_embodiment
 from cei_gym.embodiment.catalogue import (
     ARMS,
     END_EFFECTORS,
@@ -10,7 +11,8 @@ from cei_gym.embodiment.catalogue import (
     load_embodiment,
     load_end_effector,
 )
-from cei_gym.embodiment.embodiment import Coupled, Embodiment, build_embodiment
+from cei_gym.embodiment.coupled import Coupled
+from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.identity import fingerprint
 from cei_gym.embodiment.resources import use_package_path
 from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec, Pad, PhysicsException, load_spec

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
-from cei_gym.embodiment.embodiment import Embodiment, build_embodiment
+from cei_gym.embodiment.building import build_embodiment
+from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.spec import ArmSpec, EndEffectorSpec, load_spec
 from cei_gym.errors import CEIError, unknown
 
