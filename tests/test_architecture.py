@@ -97,32 +97,96 @@ def test_torch_is_only_where_solvers_need_it() -> None:
 
 
 LAYERS = {
-    "cei_gym": ["errors", "embodiment", "kinematics", "functional", "alignment", "transfer"],
+    "cei_gym": [
+        *("errors", "compiled", "plugins", "untrusted", "untrusted_xml", "channels", "displacement", "demonstration"),
+        *("embodiment", "rendering", "environment", "kinematics", "functional", "pointcloud", "alignment"),
+        *("augmentation", "transfer", "impersonation", "wrapper"),
+    ],
+    "cei_gym.embodiment": [
+        *("names", "spec", "resources", "mesh_files", "colours", "elements", "couplings", "coupled", "includes"),
+        *("assets", "meshes", "mjcf", "urdf", "compiling", "description", "embodiment", "joining", "building"),
+        *("catalogue", "identity"),
+    ],
+    "cei_gym.alignment": [
+        *("registry", "options", "kernels", "grip", "manual", "problem", "links", "contact", "solvers", "judge"),
+        *("retime", "follow", "start", "stream"),
+    ],
+    "cei_gym.alignment.kernels": ["step", "target", "quadratic", "distance", "keep_out", "frame", "contact", "grasp"],
+    "cei_gym.transfer": [
+        *("options", "attempt", "live", "source_side", "scenes", "specified", "following", "transfer"),
+    ],
     "cei_converters": [
         *("signals", "start", "dataset", "cli", "simulation", "sources", "view", "inspection", "conversion"),
         *("pads", "record", "replay", "convert", "restore", "report", "demo", "benchmark"),
     ],
+    "cei_converters.conversion": [
+        *("executors", "in_order", "agreement", "verify", "augment", "gate", "reach", "survey", "episode", "steps"),
+        *("shard", "config", "workplace", "converter", "plan", "quality_picture", "workers", "writing", "outcomes"),
+        *("preloaded", "assemble"),
+    ],
+    "cei_envs": [
+        *("gripper", "picture", "viewpoints", "registration", "rollout", "simulation", "sensors", "environment"),
+        *("tasks", "experts", "teleoperation"),
+    ],
+    "lerobot_env_cei": ["workers", "processors", "configuration"],
+    "lerobot_policy_dp3": [
+        *(
+            "clouds",
+            "averaging",
+            "encoder",
+            "fast_reader",
+            "configuration_dp3",
+            "processor_dp3",
+            "unet",
+            "modeling_dp3",
+        ),
+        "original",
+    ],
 }
+"""The rooms of every package, each above those that it may know."""
+
+ON_DEMAND = {
+    ("cei_envs", "environment"): {"cei_envs.experts", "cei_envs.teleoperation"},
+}
+"""What a room asks of one above it only when a caller wants it: a demonstrator and a device are no part of running an environment."""
+
+
+def rooms(package: str) -> dict[str, list[Path]]:
+    """The files of each room of a package: a folder, or a module."""
+    folder = PACKAGES[package.partition(".")[0]].joinpath(*package.split(".")[1:])
+    found = {path.stem: [path] for path in folder.glob("[a-z]*.py")}
+    return found | {path.parent.name: sorted(path.parent.rglob("*.py")) for path in folder.glob("*/__init__.py")}
 
 
 @pytest.mark.parametrize("package", LAYERS)
-def test_lower_parts_of_a_package_do_not_know_the_upper_ones(package: str) -> None:
-    for height, layer in enumerate(LAYERS[package]):
-        part = PACKAGES[package] / layer
-        paths = sorted(part.rglob("*.py")) if part.is_dir() else [part.with_suffix(".py")]
+def test_lower_rooms_of_a_package_do_not_know_the_upper_ones(package: str) -> None:
+    files, depth = rooms(package), package.count(".") + 2
+    for height, room in enumerate(LAYERS[package]):
         above = {f"{package}.{name}" for name in LAYERS[package][height + 1 :]}
-        assert paths
-        for path in paths:
-            reached = {".".join(name.split(".")[:2]) for name in imports(path)}
-            assert not reached & above, path
+        allowed = ON_DEMAND.get((package, room), set())
+        for path in files[room]:
+            reached = {".".join(name.split(".")[:depth]) for name in imports(path)} & above
+            at_once = {".".join(name.split(".")[:depth]) for name in imports(path, top_level=True)} & above
+            assert reached <= allowed, path
+            assert not at_once, path
 
 
-def test_every_part_of_the_converters_has_its_layer() -> None:
-    package = PACKAGES["cei_converters"]
-    parts = {path.stem for path in package.glob("[a-z]*.py")} | {
-        path.parent.name for path in package.glob("*/__init__.py")
-    }
-    assert parts == set(LAYERS["cei_converters"])
+@pytest.mark.parametrize("package", LAYERS)
+def test_every_room_has_its_layer(package: str) -> None:
+    assert set(rooms(package)) == set(LAYERS[package])
+    assert len(LAYERS[package]) == len(set(LAYERS[package]))
+
+
+def test_every_package_has_its_layers() -> None:
+    assert set(PACKAGES) <= set(LAYERS)
+
+
+def test_no_module_is_long() -> None:
+    """300 lines at most, or a reason at the top: a line that begins with "Long: "."""
+    for package in PACKAGES:
+        for path in sources(package):
+            text = path.read_text()
+            assert text.count("\n") <= 300 or "\nLong: " in text[:1500], path
 
 
 def test_robosuite_is_imported_only_by_the_environments_package() -> None:

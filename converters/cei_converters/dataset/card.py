@@ -1,24 +1,19 @@
 """The dataset card: README.md of a recorded or converted dataset."""
 
 import json
-from array import array
 from collections import Counter
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cei_converters.dataset import schema
+from cei_converters.dataset.card_markdown import flat, listed, table
+from cei_converters.dataset.card_records import augmented, quality, verified
 from cei_converters.dataset.license import CARD_PATH, FIELDS, license_files
-from cei_converters.dataset.metadata import METADATA_PATH, PICTURE_PATH, Metadata, Source
-from cei_converters.dataset.records import RECORDS_PATH, Record, Records
+from cei_converters.dataset.metadata import METADATA_PATH, Metadata, Source
+from cei_converters.dataset.records import RECORDS_PATH, Records
 
-PARTS = (
-    "An episode's quality, from 0 to 1, is that of its worst part: `residual` (how far pads are from the source's), `limits` "
-    "(frames with a joint of the arm at a limit), `jumps` (joints faster than they can be), `clearance` (how deep the robot is in "
-    "itself, table or objects) and `reach` (frames out of reach)."
-)
 CITATION = """@article{wu2026cei,
   title   = {{CEI}: A Unified Interface for Cross-Embodiment Visuomotor Policy Learning in {3D} Space},
   author  = {Wu, Tong and Li, Shoujie and Gong, Junhao and Guo, Changqing and Li, Xingting and Mu, Shilong
@@ -42,9 +37,9 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
     )
     sections = [
         _introduction(repo_id, metadata, info),
-        _quality(root, metadata, records),
-        _augmented(records),
-        _verified(metadata, records),
+        quality(root, metadata, records),
+        augmented(records),
+        verified(metadata, records),
         _cameras(metadata, info, records),
         _columns(metadata),
         _layout(metadata, info),
@@ -101,83 +96,6 @@ def _shown(metadata: Metadata, info: dict) -> str:
     return ". **The point clouds still show the source robot** (`--clouds.swap=false`)."
 
 
-def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
-    lines = [header, tuple("---" for _ in header), *rows]
-    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)
-
-
-def _quality(root: Path, metadata: Metadata, records: Records) -> str:
-    scored = _spread(
-        {"quality": record["quality"]["score"], **record["quality"]["parts"]}
-        for record in records
-        if "quality" in record
-    )
-    rows = scored + _spread(record.get("alignment", {}) for record in records)
-    if not rows:
-        return ""
-    parts = ["## Quality of the alignment"]
-    if (root / PICTURE_PATH).is_file():
-        parts.append(f"![Scores of all episodes, and the worst ones]({PICTURE_PATH})")
-    if scored:
-        parts.append(PARTS + _gated(metadata, records))
-    text = f"Over the episodes; per episode in `{RECORDS_PATH}`."
-    return "\n\n".join([*parts, text, _table(("per episode", "mean", "least", "largest"), rows)])
-
-
-def _spread(records: Iterable[Record]) -> list[tuple[str, ...]]:
-    """Rows of a table: each number that records hold, over all of them."""
-    values: dict[str, array] = {}
-    for record in records:
-        for key, value in record.items():
-            if isinstance(value, (int, float)) and not isinstance(value, bool):
-                values.setdefault(key, array("d")).append(value)
-    return [(f"`{key}`", *(f"{f(v):.4g}" for f in (np.mean, np.min, np.max))) for key, v in values.items()]
-
-
-def _gated(metadata: Metadata, records: Records) -> str:
-    """Sentences on what the quality gate did; empty if there was none."""
-    options = [provenance.options for provenance in metadata.provenances]
-    text = ""
-    for gated in (each for each in options if "min_quality" in each):
-        text += f" Episodes below {gated['min_quality']:g} are left out ({len(gated['gate']['dropped'])})."
-    for bound in dict.fromkeys(each["flag"] for each in options if "flag" in each):
-        flagged = [str(index) for index, record in enumerate(records) if record.get("flagged")]
-        text += f" Those below {bound:g} are `flagged` in `{RECORDS_PATH}`: {', '.join(flagged) or 'none'}."
-    return text
-
-
-def _augmented(records: Records) -> str:
-    recorded = Counter(record["source_episode"] for record in records if "offset" in record)
-    if not recorded:
-        return ""
-    rows = _spread(record.get("offset", {}) for record in records)
-    return (
-        f"## Spatial augmentation\n\n{len(recorded)} recorded episodes became {recorded.total()}: in each, all objects are moved as one from where they were recorded, and the hand goes where they are. "
-        "Their points move rigidly: what a camera did not see of them, or behind them, where they were recorded is also missing "
-        f"where they are now. Per episode in `{RECORDS_PATH}`, under `offset`; `seed` there is that of the recorded start.\n\n"
-        + _table(("offset", "mean", "least", "largest"), rows)
-    )
-
-
-def _verified(metadata: Metadata, records: Records) -> str:
-    verdicts = (record["verified"] for record in records if "verified" in record)
-    kept = Counter(verdict["how"] if verdict["success"] else "fails" for verdict in verdicts)
-    if not kept:
-        return ""
-    verified = (provenance.options.get("verify", {}) for provenance in metadata.provenances)
-    dropped = [index for each in verified for index in each.get("dropped", [])]
-    n = kept.total() + len(dropped)
-    text = (
-        f"## Verified in simulation\n\nEpisodes were replayed in `{metadata.environment.id}` as they were converted. The "
-        f"plain transfer succeeds in {kept['plain']} of {n}. Where it fails, others were tried: from another start, with "
-        f"another squeeze, with other points on the pads. With these, {kept.total() - kept['fails']} of {n} succeed. "
-    )
-    if dropped:
-        text += f"Left out are {len(dropped)} in which nothing did. "
-    text += f"Per episode in `{RECORDS_PATH}`, under `verified`.\n\n"
-    return text + _table(("transfer", "episodes"), list(kept.items()))
-
-
 def _cameras(metadata: Metadata, info: dict, records: Records) -> str:
     """What the source's cameras became; empty for a recorded dataset."""
     sources = _sources(metadata)
@@ -187,7 +105,7 @@ def _cameras(metadata: Metadata, info: dict, records: Records) -> str:
     if schema.POINT_CLOUD not in info["features"]:
         text = "There are no point clouds: the source has no depth, so it was converted in joints."
     elif seen:
-        text = f"Point clouds were made from the depth of {_listed(seen)}."
+        text = f"Point clouds were made from the depth of {listed(seen)}."
     else:
         text = "Point clouds were made from the source's."
     dtypes = {key: feature["dtype"] for key, feature in info["features"].items()}
@@ -195,7 +113,7 @@ def _cameras(metadata: Metadata, info: dict, records: Records) -> str:
     if pictures:
         shown = " or ".join(dict.fromkeys(source.embodiment for source in sources))
         text += (
-            f" Pictures of {_listed(pictures)} are the source's, passed through untouched: **they still show "
+            f" Pictures of {listed(pictures)} are the source's, passed through untouched: **they still show "
             f"{shown}, not {metadata.embodiment}**."
         )
     stretched = sum("source_frames" in record for record in records)
@@ -214,17 +132,13 @@ def _columns(metadata: Metadata) -> str:
         return ""
     parts = []
     if source.carried:
-        parts.append(f"Carried over from the source as they are, frame by frame: {_listed(source.carried)}.")
+        parts.append(f"Carried over from the source as they are, frame by frame: {listed(source.carried)}.")
     if source.dropped:
         rows: list[tuple[Any, ...]] = [(f"`{name}`", reason) for name, reason in source.dropped.items()]
-        parts.append("Not carried over:\n\n" + _table(("feature", "why"), rows))
+        parts.append("Not carried over:\n\n" + table(("feature", "why"), rows))
     if table:
         parts.append(f"The table is taken to be at {table['z_m']:g} m (world), by {table['said_by']}.")
     return "## Other features\n\n" + "\n\n".join(parts) if parts else ""
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(f"`{name}`" for name in names)
 
 
 def _layout(metadata: Metadata, info: dict) -> str:
@@ -241,10 +155,10 @@ def _layout(metadata: Metadata, info: dict) -> str:
         (camera.name, f"{camera.width}x{camera.height}", np.round(np.diag(camera.K)[:2], 2).tolist())
         for camera in metadata.scene.cameras
     ]
-    parts = ["## Layout, frames, units", _table(("feature", "type", "shape", "entries"), features)]
+    parts = ["## Layout, frames, units", table(("feature", "type", "shape", "entries"), features)]
     parts.append("\n".join(f"- {name}: {text}" for name, text in metadata.conventions.items()))
     if cameras:
-        parts.append(_table(("camera", "pixels", "focal length (px)"), cameras))
+        parts.append(table(("camera", "pixels", "focal length (px)"), cameras))
     parts.append(f"Poses, intrinsics and workspace are in `{METADATA_PATH}`.")
     parts.append(_read_by_policies(info))
     return "\n\n".join(parts)
@@ -301,8 +215,8 @@ def _provenance(root: Path, metadata: Metadata, records: Records) -> str:
         rows += [(f"content of {name}", f"`{value}`") for name, value in provenance.inputs.items()]
         rows += [(f"about {name}", note) for name, notes in provenance.notes.items() for note in notes]
         rows += [(f"version of {name}", value) for name, value in provenance.versions.items()]
-        rows += [(f"`--{name}`", f"`{value}`") for name, value in _flat(provenance.options)]
-        parts.append(_table(("", ""), rows))
+        rows += [(f"`--{name}`", f"`{value}`") for name, value in flat(provenance.options)]
+        parts.append(table(("", ""), rows))
     return "\n\n".join(parts)
 
 
@@ -317,15 +231,5 @@ def _source_rows(source: Source | None, files: list[str]) -> list[tuple[Any, ...
     ]
     return [
         *((name, f"`{value}`") for name, value in rows if value),
-        ("license of the source", _listed(named) if named else "none is named, so none is named here"),
+        ("license of the source", listed(named) if named else "none is named, so none is named here"),
     ]
-
-
-def _flat(options: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    flat: list[tuple[str, Any]] = []
-    for name, value in options.items():
-        if isinstance(value, dict):
-            flat += _flat(value, f"{prefix}{name}.")
-        else:
-            flat.append((prefix + name, value))
-    return flat

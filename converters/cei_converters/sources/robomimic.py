@@ -1,6 +1,6 @@
 """Read demonstrations of robosuite and robomimic: one HDF5 file, one group an episode."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,25 +9,36 @@ import h5py
 import numpy as np
 import pyarrow as pa
 
-from cei_converters.dataset.carried import OF_THE_ROBOT, Carried
+from cei_converters.dataset.carried import Carried
 from cei_converters.dataset.opening import embodiment_without_metadata
 from cei_converters.sources import hdf5
 from cei_converters.sources.actions import BoundActions, action_map, bind_actions
 from cei_converters.sources.binding import bind
 from cei_converters.sources.calibration import Calibration
+from cei_converters.sources.checks import check_cloud
 from cei_converters.sources.joint_map import ActionMap, JointMap
 from cei_converters.sources.recording import Recording, Recordings, spread
+from cei_converters.sources.robomimic_file import (
+    CARRIED,
+    CLOUD,
+    OBJECTS,
+    carried_by,
+    data_of,
+    dropped_from,
+    episode_names,
+    fps_of,
+    joint_columns,
+    number_columns,
+    numbered_names,
+    observations,
+    task_of,
+    why_not,
+    width_of,
+)
 from cei_converters.sources.robosuite import ACTIONS, action_entries
-from cei_converters.sources.source import Source, check_cloud, scene_without_metadata, table_from
+from cei_converters.sources.source import Source, scene_without_metadata, table_from
 from cei_gym.demonstration import Demonstration
-from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
-
-_JOINTS = ("robot0_joint_pos", "robot0_gripper_qpos")
-_CLOUD, _OBJECTS = "point_cloud", "object"
-# of each frame, by robomimic's names, as LeRobot names and types them
-_CARRIED = {"rewards": ("next.reward", "float32"), "dones": ("next.done", "bool")}
-_READ = "there is no reader for it in HDF5"
 
 
 @dataclass(frozen=True)
@@ -69,29 +80,29 @@ class RobomimicSource(Source):
         self.table_from = table_from(calibration)
         by_map = joint_map is not None and bool(joint_map.joints or joint_map.pose)
         with hdf5.opened(self.root) as file:
-            self._names = _episode_names(file, self.root)
-            env = hdf5.json_attribute(_data(file, self.root), "env_args")
+            self._names = episode_names(file, self.root)
+            env = hdf5.json_attribute(data_of(file, self.root), "env_args")
             episode = self._episode(file, 0)
-            found, elsewhere = _observations(episode, self.root)
-            columns = _columns(found)
+            found, elsewhere = observations(episode, self.root)
+            columns = number_columns(found)
             if not by_map:
-                columns = _joint_columns(columns, found, elsewhere, body, self.root)
+                columns = joint_columns(columns, found, elsewhere, body, self.root)
             entries = hdf5.dataset_at(episode, ACTIONS, self.root)
-            self._layout = _Layout(columns, _width(entries, self.root))
-            self.has_clouds = _CLOUD in found
-            self._carried_as = _carried(episode, self.root)
-            self.dropped = elsewhere | _dropped(found, columns, list(self._carried_as), episode)
-            self._task = _task(_data(file, self.root), env)
+            self._layout = _Layout(columns, width_of(entries, self.root))
+            self.has_clouds = CLOUD in found
+            self._carried_as = carried_by(episode, self.root)
+            self.dropped = elsewhere | dropped_from(found, columns, list(self._carried_as), episode)
+            self._task = task_of(data_of(file, self.root), env)
         kwargs = env.get("env_kwargs")
         kwargs = kwargs if isinstance(kwargs, Mapping) else {}
-        self.fps = _fps(joint_map, kwargs, self.root)
-        names = [numbered for name, size in columns.items() for numbered in _numbered(name, size)]
+        self.fps = fps_of(joint_map, kwargs, self.root)
+        names = [numbered for name, size in columns.items() for numbered in numbered_names(name, size)]
         self._bound = bind(joint_map, body, names) if by_map and joint_map is not None else None
         self._actions = self._bind_actions(joint_map, kwargs, names)
         self.quick = self._bound is None or self._bound.pose is None
         self.carried = {
             key: {"dtype": dtype, "shape": (1,), "names": None}
-            for key, dtype in (_CARRIED[name] for name in self._carried_as)
+            for key, dtype in (CARRIED[name] for name in self._carried_as)
         }
 
     def _bind_actions(
@@ -129,13 +140,13 @@ class RobomimicSource(Source):
         with hdf5.opened(self.root) as file:
             found, entries = self._checked(file, index)
             state = np.column_stack([hdf5.read(found[name], self.root) for name in self._layout.columns])
-            objects = hdf5.read(found[_OBJECTS], self.root).astype(np.float64) if _OBJECTS in found else None
+            objects = hdf5.read(found[OBJECTS], self.root).astype(np.float64) if OBJECTS in found else None
             actions = None if entries is None else hdf5.read(entries, self.root)
             if clouds and self.has_clouds:
-                cloud = check_cloud(hdf5.read(found[_CLOUD], self.root), len(state), where)
+                cloud = check_cloud(hdf5.read(found[CLOUD], self.root), len(state), where)
         if objects is not None and (objects.ndim != 2 or len(objects) != len(state)):
             raise CEIError(
-                f"{where}: obs/{_OBJECTS} has shape {objects.shape}; it should have {len(state)} rows of numbers."
+                f"{where}: obs/{OBJECTS} has shape {objects.shape}; it should have {len(state)} rows of numbers."
             )
         joints = self.joints(state, actions, index, self._bound, self._actions)
         return Demonstration(
@@ -147,7 +158,7 @@ class RobomimicSource(Source):
             task=self._task_of(index),
             point_cloud_world=cloud,
             environment_state=objects,
-            environment_state_names=() if objects is None else tuple(_numbered(_OBJECTS, objects.shape[1])),
+            environment_state_names=() if objects is None else tuple(numbered_names(OBJECTS, objects.shape[1])),
             index=index,
             figures=joints.figures,
         )
@@ -158,7 +169,7 @@ class RobomimicSource(Source):
         with hdf5.opened(self.root) as file:
             episode = self._episode(file, index)
             for name in self._carried_as:
-                key, dtype = _CARRIED[name]
+                key, dtype = CARRIED[name]
                 if key not in self.carried:
                     continue
                 data = hdf5.dataset_at(episode, name, self.root)
@@ -176,7 +187,7 @@ class RobomimicSource(Source):
         return said if isinstance(said, str) else self._task
 
     def _episode(self, file: h5py.File, index: int) -> h5py.Group:
-        episode = hdf5.group_at(_data(file, self.root), self._names[index], self.root)
+        episode = hdf5.group_at(data_of(file, self.root), self._names[index], self.root)
         assert episode is not None
         return episode
 
@@ -187,12 +198,12 @@ class RobomimicSource(Source):
             CEIError: naming what differs.
         """
         where, episode = f"{self.root}, {self._names[index]}", self._episode(file, index)
-        found, elsewhere = _observations(episode, self.root)
+        found, elsewhere = observations(episode, self.root)
         rows: dict[str, int] = {}
         for name, size in self._layout.columns.items():
             if name not in found:
                 raise CEIError(
-                    f"{where} lacks obs/{name}, which {self._names[0]} has{_why(elsewhere, name)}; leave it out with --episodes."
+                    f"{where} lacks obs/{name}, which {self._names[0]} has{why_not(elsewhere, name)}; leave it out with --episodes."
                 )
             shape = found[name].shape
             if len(shape) != 2 or shape[1] != size:
@@ -203,14 +214,14 @@ class RobomimicSource(Source):
         entries = None
         if self._actions is not None:
             entries = hdf5.dataset_at(episode, ACTIONS, self.root)
-            if (width := _width(entries, self.root)) != self._layout.actions or entries is None:
+            if (width := width_of(entries, self.root)) != self._layout.actions or entries is None:
                 raise CEIError(
                     f"{where}: {ACTIONS} has {width or 'no'} entries; as in {self._names[0]} it should have {self._layout.actions}."
                 )
             rows[ACTIONS] = entries.shape[0]
-        if self.has_clouds and _CLOUD not in found:
+        if self.has_clouds and CLOUD not in found:
             raise CEIError(
-                f"{where} lacks obs/{_CLOUD}, which {self._names[0]} has{_why(elsewhere, _CLOUD)}; leave it out with --episodes."
+                f"{where} lacks obs/{CLOUD}, which {self._names[0]} has{why_not(elsewhere, CLOUD)}; leave it out with --episodes."
             )
         if len(set(rows.values())) > 1:
             counts = ", ".join(f"{count} of {name}" for name, count in rows.items())
@@ -220,115 +231,6 @@ class RobomimicSource(Source):
         return found, entries
 
 
-def _data(file: h5py.File, root: Path) -> h5py.Group:
-    found = hdf5.group_at(file, "data", root)
-    if found is None:
-        raise CEIError(f"{root} has no episodes: the group 'data' is missing or empty.")
-    return found
-
-
-def _episode_names(file: h5py.File, root: Path) -> list[str]:
-    data = _data(file, root)
-    names = hdf5.groups_in(data)
-    if not names:
-        raise CEIError(f"{root} has no episodes: the group 'data' is missing or empty.")
-    return sorted(names, key=lambda name: (len(name), name))  # demo_10 comes after demo_9
-
-
-def _observations(episode: h5py.Group, root: Path) -> tuple[dict[str, h5py.Dataset], dict[str, str]]:
-    """Datasets under `obs`, and why others there are not taken."""
-    group = hdf5.group_at(episode, "obs", root)
-    if group is None:
-        name = (episode.name or "").rpartition("/")[2]
-        raise CEIError(f"{root}, {name}, has no observations; make them with robomimic's dataset_states_to_obs.py.")
-    return hdf5.datasets_in(group, root)
-
-
-def _columns(found: Mapping[str, h5py.Dataset]) -> dict[str, int]:
-    """Observations with a row of numbers a frame: name to length."""
-    return {name: data.shape[1] for name, data in found.items() if data.ndim == 2 and data.dtype.kind in "fiu"}
-
-
-def _joint_columns(
-    columns: Mapping[str, int],
-    found: Mapping[str, h5py.Dataset],
-    elsewhere: Mapping[str, str],
-    body: Embodiment,
-    root: Path,
-) -> dict[str, int]:
-    for name in _JOINTS:
-        if name in columns:
-            continue
-        stored = (
-            f"; it is stored as {found[name].dtype} of shape {found[name].shape}"
-            if name in found
-            else _why(elsewhere, name)
-        )
-        raise CEIError(
-            f"{root} lacks obs/{name} with a row of numbers a frame{stored}; it has: {', '.join(found)}. --joint_map may say what to take."
-        )
-    chosen = {name: columns[name] for name in _JOINTS}
-    recorded, wanted = sum(chosen.values()), len(body.joint_names)
-    if recorded != wanted:
-        raise CEIError(
-            f"{root} has {recorded} joints but {body.name} has {wanted}; choose another --source, or say with --joint_map which is which."
-        )
-    return chosen
-
-
-def _why(elsewhere: Mapping[str, str], name: str) -> str:
-    return f" (it is {elsewhere[name]})" if name in elsewhere else ""
-
-
-def _width(entries: h5py.Dataset | None, root: Path) -> int | None:
-    if entries is None:
-        return None
-    if entries.ndim != 2 or entries.dtype.kind not in "fiu":
-        raise CEIError(
-            f"{root}: {entries.name} is {entries.dtype} of shape {entries.shape}; it should be rows of numbers."
-        )
-    return int(entries.shape[1])
-
-
-def _carried(episode: h5py.Group, root: Path) -> list[str]:
-    return [
-        name
-        for name in _CARRIED
-        if isinstance(episode.get(name, getlink=True), h5py.HardLink)
-        and hdf5.dataset_at(episode, name, root) is not None
-    ]
-
-
-def _dropped(
-    found: Mapping[str, h5py.Dataset], columns: Mapping[str, int], carried: Sequence[str], episode: h5py.Group
-) -> dict[str, str]:
-    """Name to reason of what is not taken."""
-    used = {*columns, _CLOUD, _OBJECTS}
-    observed = {name: OF_THE_ROBOT if data.ndim < 3 else _READ for name, data in found.items() if name not in used}
-    others = [str(name) for name in episode if name not in ("obs", ACTIONS, *carried)]
-    return observed | {
-        name: _READ if name != "states" else "the simulator's, the source robot in it" for name in others
-    }
-
-
-def _numbered(name: str, size: int) -> list[str]:
-    return [f"{name}.{i}" for i in range(size)]
-
-
-def _task(data: h5py.Group, env: Mapping[str, Any]) -> str:
-    """What episodes show, in words: LIBERO's instruction, else the environment's name."""
-    said = hdf5.json_attribute(data, "problem_info").get("language_instruction")
-    said = said if isinstance(said, str) else env.get("env_name")
-    return said if isinstance(said, str) else ""
-
-
-def _fps(joint_map: JointMap | None, kwargs: Mapping[str, Any], root: Path) -> float:
-    fps = (joint_map and joint_map.fps) or kwargs.get("control_freq")
-    if not isinstance(fps, (int, float)) or isinstance(fps, bool) or not 0 < fps < 10_000:
-        raise CEIError(f"{root} does not say how many frames a second it has; --joint_map can, by fps: 20.")
-    return float(fps)
-
-
 def recordings(root: Path, most: int) -> Recordings:
     """All columns that a joint map may use, of some episodes.
 
@@ -336,14 +238,14 @@ def recordings(root: Path, most: int) -> Recordings:
         CEIError: the file cannot be read.
     """
     with hdf5.opened(root) as file:
-        names = _episode_names(file, root)
-        env = hdf5.json_attribute(_data(file, root), "env_args")
+        names = episode_names(file, root)
+        env = hdf5.json_attribute(data_of(file, root), "env_args")
         episodes, columns = [], {}
         for i in spread(len(names), most):
-            episode = hdf5.group_at(_data(file, root), names[i], root)
+            episode = hdf5.group_at(data_of(file, root), names[i], root)
             assert episode is not None
-            found, _ = _observations(episode, root)
-            columns = columns or _columns(found)
+            found, _ = observations(episode, root)
+            columns = columns or number_columns(found)
             if missing := [name for name in columns if name not in found]:
                 raise CEIError(f"{root}, {names[i]} lacks obs/{missing[0]}, which the first episode has.")
             episodes.append(
@@ -351,5 +253,5 @@ def recordings(root: Path, most: int) -> Recordings:
             )
     kwargs = env.get("env_kwargs")
     fps = kwargs.get("control_freq") if isinstance(kwargs, Mapping) else None
-    numbered = [name for column, size in columns.items() for name in _numbered(column, size)]
+    numbered = [name for column, size in columns.items() for name in numbered_names(column, size)]
     return Recordings(numbered, fps, episodes, len(names))

@@ -16,6 +16,7 @@ from cei_converters.dataset.metadata import Metadata, restore_with
 from cei_converters.sources.actions import BoundActions
 from cei_converters.sources.binding import BoundJointMap
 from cei_converters.sources.calibration import Calibration
+from cei_converters.sources.checks import LEAST_FRAMES, check_finite, likely_unit
 from cei_converters.sources.joint_map import ABSOLUTE
 from cei_converters.sources.plausible import check_actions
 from cei_gym.demonstration import Demonstration, Scene
@@ -23,7 +24,7 @@ from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError, unknown
 from cei_gym.kinematics.inverse import follow_link
 
-# how far outside its range a joint may be read before its unit must be wrong
+# how far outside its range a joint may be read, before its unit must be wrong
 UNIT_SLACK = {"rad": np.pi, "m": 0.5}
 # stands in for the workspace of a dataset that does not say: about any arm's reach; where the table is, it says nothing of
 DEFAULT_WORKSPACE_M = np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
@@ -222,7 +223,7 @@ class Source(ABC):
             raise CEIError(f"{where} has no frames; leave it out with --episodes or record it again.")
         qpos, figures = state if bound is None else bound.qpos(state), {}
         if bound is not None and bound.pose is not None:
-            _check_finite(state[:, bound.pose_columns], where, "pose", [f"column {c}" for c in bound.pose_columns])
+            check_finite(state[:, bound.pose_columns], where, "pose", [f"column {c}" for c in bound.pose_columns])
             qpos, figures = self._recover(bound, state, qpos, where)
         self._check_values(qpos, where, "observation.state")
         self._check_widths(qpos, where)
@@ -230,7 +231,7 @@ class Source(ABC):
             return Joints(qpos, np.concatenate([qpos[1:], qpos[-1:]]), figures)
         values = values.astype(np.float64)
         if not np.isfinite(values[:, actions.column]).all():
-            _check_finite(values, where, actions.feature, [f"column {c}" for c in range(values.shape[1])])
+            check_finite(values, where, actions.feature, [f"column {c}" for c in range(values.shape[1])])
         body = self.embodiment
         # before limits clip them: what is far off is in the wrong unit
         meant = np.where(actions.of_kind(ABSOLUTE), actions.absolute(values), body.coupled.reduce(qpos))
@@ -255,7 +256,7 @@ class Source(ABC):
     def _check_values(self, values: np.ndarray, where: str, key: str) -> None:
         """values: (T, n) rad or m."""
         body = self.embodiment
-        _check_finite(values, where, key, [f"joint {name}" for name in body.joint_names])
+        check_finite(values, where, key, [f"joint {name}" for name in body.joint_names])
         slack = np.array([UNIT_SLACK[unit] for unit in body.joint_units])
         far = np.argwhere((values < body.lower - slack) | (values > body.upper + slack))
         if len(far):
@@ -263,15 +264,13 @@ class Source(ABC):
             unit = body.joint_units[joint]
             raise CEIError(
                 f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is {values[frame, joint]:.4g} {unit}, far outside "
-                f"{self._limits(joint)}; it looks like {_likely(unit, float(np.abs(values[:, joint]).max()))}."
+                f"{self._limits(joint)}; it looks like {likely_unit(unit, float(np.abs(values[:, joint]).max()))}."
             )
 
     def _check_widths(self, qpos: np.ndarray, where: str) -> None:
         """Refuse fingers that slide and are far beyond their limits for long: the distance of two is twice as much."""
         body = self.embodiment
-        if len(qpos) < _LEAST_FRAMES:
-            return
-        for q in body.coupled.independent:
+        for q in body.coupled.independent if len(qpos) >= LEAST_FRAMES else ():
             wide = qpos[:, q] > body.upper[q] + 0.5 * (body.upper[q] - body.lower[q])
             if q >= body.n_arm and body.joint_units[q] == "m" and wide.mean() > 0.1:
                 raise CEIError(
@@ -283,46 +282,6 @@ class Source(ABC):
     def _limits(self, q: int) -> str:
         body = self.embodiment
         return f"[{body.lower[q]:.4g}, {body.upper[q]:.4g}] {body.joint_units[q]}"
-
-
-_LEAST_FRAMES = 12
-
-
-def _likely(unit: str, extent: float) -> str:
-    """What a joint's column may be whose largest number is far beyond the joint's limits, and what a joint map would say."""
-    if unit == "m":
-        return "millimetres or percent; convert to m, or say so in a joint map, by unit: mm, or unit: normalised, range: [0, 100]"
-    if extent > 400:
-        return "servo ticks; a joint map says so by unit: ticks, range: [at the lower limit, at the upper limit]"
-    if extent <= 101:
-        return "degrees or LeRobot's -100 to 100; a joint map says which, by unit: deg or unit: normalised, range: [-100, 100]"
-    return "degrees; convert to rad, or say so in a joint map, by unit: deg"
-
-
-def _check_finite(values: np.ndarray, where: str, key: str, names: Sequence[str]) -> None:
-    bad = np.argwhere(~np.isfinite(values))
-    if len(bad):
-        frame, column = bad[0]
-        raise CEIError(
-            f"{where}, frame {frame}, {names[column]}: {key} is {values[frame, column]}; "
-            "leave the episode out with --episodes or record it again."
-        )
-
-
-def check_cloud(cloud: np.ndarray, frames: int, where: str) -> np.ndarray:
-    """Checked (T, P, 3 or 6) float32 points, colours from 0-255 to [0, 1] where that is what they are.
-
-    Raises:
-        CEIError: it is of another shape.
-    """
-    if cloud.ndim != 3 or len(cloud) != frames or cloud.shape[2] not in (3, 6) or cloud.dtype.kind not in "fiu":
-        raise CEIError(
-            f"{where}: point clouds should be ({frames}, points, 3 or 6) numbers, not {cloud.shape} {cloud.dtype}."
-        )
-    cloud = cloud.astype(np.float32)
-    if cloud.shape[2] == 6 and np.nanmax(cloud[..., 3:], initial=0.0) > 1:
-        cloud[..., 3:] /= 255
-    return cloud
 
 
 def scene_without_metadata(T_world_base: np.ndarray | None, calibration: Calibration | None) -> Scene:

@@ -12,9 +12,10 @@ from cei_converters.dataset.opening import embodiment_without_metadata
 from cei_converters.sources.actions import BoundActions, action_map, bind_actions
 from cei_converters.sources.binding import bind
 from cei_converters.sources.calibration import Calibration
+from cei_converters.sources.checks import check_cloud
 from cei_converters.sources.joint_map import ActionMap, JointMap
 from cei_converters.sources.recording import Recording, Recordings, spread
-from cei_converters.sources.source import Source, check_cloud, scene_without_metadata, table_from
+from cei_converters.sources.source import Source, scene_without_metadata, table_from
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json

@@ -1,0 +1,93 @@
+"""What a card says of a dataset's episodes, by their records."""
+
+from array import array
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from cei_converters.dataset.card_markdown import table
+from cei_converters.dataset.metadata import PICTURE_PATH, Metadata
+from cei_converters.dataset.records import RECORDS_PATH, Record, Records
+
+PARTS = (
+    "An episode's quality, from 0 to 1, is that of its worst part: `residual` (how far pads are from the source's), `limits` "
+    "(frames with a joint of the arm at a limit), `jumps` (joints faster than they can be), `clearance` (how deep the robot is in "
+    "itself, table or objects) and `reach` (frames out of reach)."
+)
+
+
+def quality(root: Path, metadata: Metadata, records: Records) -> str:
+    """How well episodes are aligned; empty for a recorded dataset."""
+    scored = _spread(
+        {"quality": record["quality"]["score"], **record["quality"]["parts"]}
+        for record in records
+        if "quality" in record
+    )
+    rows = scored + _spread(record.get("alignment", {}) for record in records)
+    if not rows:
+        return ""
+    parts = ["## Quality of the alignment"]
+    if (root / PICTURE_PATH).is_file():
+        parts.append(f"![Scores of all episodes, and the worst ones]({PICTURE_PATH})")
+    if scored:
+        parts.append(PARTS + _gated(metadata, records))
+    text = f"Over the episodes; per episode in `{RECORDS_PATH}`."
+    return "\n\n".join([*parts, text, table(("per episode", "mean", "least", "largest"), rows)])
+
+
+def _spread(records: Iterable[Record]) -> list[tuple[str, ...]]:
+    """Rows of a table: each number that records hold, over all of them."""
+    values: dict[str, array] = {}
+    for record in records:
+        for key, value in record.items():
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                values.setdefault(key, array("d")).append(value)
+    return [(f"`{key}`", *(f"{f(v):.4g}" for f in (np.mean, np.min, np.max))) for key, v in values.items()]
+
+
+def _gated(metadata: Metadata, records: Records) -> str:
+    """Sentences on what the quality gate did; empty if there was none."""
+    options = [provenance.options for provenance in metadata.provenances]
+    text = ""
+    for gated in (each for each in options if "min_quality" in each):
+        text += f" Episodes below {gated['min_quality']:g} are left out ({len(gated['gate']['dropped'])})."
+    for bound in dict.fromkeys(each["flag"] for each in options if "flag" in each):
+        flagged = [str(index) for index, record in enumerate(records) if record.get("flagged")]
+        text += f" Those below {bound:g} are `flagged` in `{RECORDS_PATH}`: {', '.join(flagged) or 'none'}."
+    return text
+
+
+def augmented(records: Records) -> str:
+    """How far objects were moved; empty if none were."""
+    recorded = Counter(record["source_episode"] for record in records if "offset" in record)
+    if not recorded:
+        return ""
+    rows = _spread(record.get("offset", {}) for record in records)
+    return (
+        f"## Spatial augmentation\n\n{len(recorded)} recorded episodes became {recorded.total()}: in each, all objects are moved as one from where they were recorded, and the hand goes where they are. "
+        "Their points move rigidly: what a camera did not see of them, or behind them, where they were recorded is also missing "
+        f"where they are now. Per episode in `{RECORDS_PATH}`, under `offset`; `seed` there is that of the recorded start.\n\n"
+        + table(("offset", "mean", "least", "largest"), rows)
+    )
+
+
+def verified(metadata: Metadata, records: Records) -> str:
+    """What simulation says of the episodes; empty if it was not asked."""
+    verdicts = (record["verified"] for record in records if "verified" in record)
+    kept = Counter(verdict["how"] if verdict["success"] else "fails" for verdict in verdicts)
+    if not kept:
+        return ""
+    asked = (provenance.options.get("verify", {}) for provenance in metadata.provenances)
+    dropped = [index for each in asked for index in each.get("dropped", [])]
+    n = kept.total() + len(dropped)
+    text = (
+        f"## Verified in simulation\n\nEpisodes were replayed in `{metadata.environment.id}` as they were converted. The "
+        f"plain transfer succeeds in {kept['plain']} of {n}. Where it fails, others were tried: from another start, with "
+        f"another squeeze, with other points on the pads. With these, {kept.total() - kept['fails']} of {n} succeed. "
+    )
+    if dropped:
+        text += f"Left out are {len(dropped)} in which nothing did. "
+    text += f"Per episode in `{RECORDS_PATH}`, under `verified`.\n\n"
+    return text + table(("transfer", "episodes"), list(kept.items()))
