@@ -36,6 +36,7 @@ TORCH = {
     "cei_gym/alignment/solvers/newton_torch.py",
     "cei_gym/alignment/solvers/paper.py",
     "cei_gym/alignment/solvers/torch_model.py",
+    "cei_gym/alignment/solvers/torch_records.py",
     "cei_gym/kinematics/torch_chain.py",
 }
 
@@ -121,8 +122,19 @@ LAYERS = {
     ],
     "cei_converters.conversion": [
         *("executors", "in_order", "agreement", "verify", "augment", "gate", "reach", "survey", "episode", "steps"),
-        *("shard", "config", "workplace", "converter", "plan", "quality_picture", "workers", "writing", "outcomes"),
-        *("preloaded", "assemble"),
+        *(
+            "shard",
+            "config",
+            "workplace",
+            "converter",
+            "plan",
+            "assumptions",
+            "origin",
+            "fit",
+            "quality_picture",
+            "workers",
+        ),
+        *("writing", "outcomes", "preloaded", "assemble"),
     ],
     "cei_envs": [
         *("gripper", "picture", "viewpoints", "registration", "rollout", "simulation", "sensors", "environment"),

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cei_converters.cli import run
-from cei_converters.cli.options import check_of_use
+from cei_converters.conversion.assumptions import about_cameras, about_columns, about_table, notes_on_robots
 from cei_converters.conversion.config import ConvertConfig, check_options
 from cei_converters.conversion.executors import SlurmOptions
+from cei_converters.conversion.fit import check_fit
 from cei_converters.conversion.in_order import in_background
-from cei_converters.conversion.plan import BY_CONTENT, DATASET
+from cei_converters.conversion.origin import files_by_content, provenance_of
+from cei_converters.conversion.plan import DATASET
 from cei_converters.conversion.reach import check_reached
 from cei_converters.dataset.provenance import fingerprint
 from cei_converters.sources import calibration, joint_map, pose
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from cei_converters.conversion.plan import Plan
     from cei_converters.conversion.workplace import Workplace
     from cei_converters.dataset.metadata import Provenance
-    from cei_converters.sources.source import Source as Recorded
 
 EXAMPLE = """example:
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa
@@ -81,13 +82,13 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         known = "" if begun is None else _check_unchanged(begun.provenance, config, to_begin_anew(place.folder))
         converter = stack.enter_context(Converter(config))
         reader = converter.reader
-        _check_fit(config, reader)
+        check_fit(config, reader)
         # it takes a second a gigabyte, beside the choice of the start
         content = (lambda: known) if known or config.dry_run else in_background(lambda: fingerprint(reader.root))
-        for name, notes in _notes(converter).items():
+        for name, notes in notes_on_robots(converter).items():
             print("\n".join(f"note: {name}: {note}" for note in notes))
         reader.check_videos(sorted(set(converter.selected)))
-        print("\n".join([_about_cameras(reader, bool(converter.cameras)), *_about_columns(reader)]))
+        print("\n".join([about_cameras(reader, bool(converter.cameras)), *about_columns(reader)]))
         if isinstance(reader.metadata, Remains):
             print(
                 f"{reader.repo_id} was edited by a tool that lost how it came about: its license is not carried over, nor what was "
@@ -104,7 +105,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         if table_z_m is not None:
             reader.set_table(table_z_m, LOWEST)
             config = replace(config, table_z_m=table_z_m)
-            progress.console.print(_about_table(table_z_m), highlight=False, soft_wrap=True)
+            progress.console.print(about_table(table_z_m), highlight=False, soft_wrap=True)
         progress.reset(task, description="choosing the start")
         plan = _planned(config, place, begun, converter, frames, content)
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
@@ -127,7 +128,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "carried_features": list(reader.carried),
             "dropped_features": reader.dropped,
             "table": {"z_m": reader.scene.support_z_m, "said_by": reader.table_from},
-            "notes": _notes(converter),
+            "notes": notes_on_robots(converter),
             "episodes": len(told.entries),
             "frames": sum(entry["frames"] for entry in told.entries),
             "results": told.entries,
@@ -162,7 +163,7 @@ def _finished(config: ConvertConfig, root: Path) -> dict[str, Any]:
     anew = f", or remove {root}."
     content = _check_unchanged(metadata.provenance, config, anew)
     with Converter(config) as converter:
-        check_same(metadata.provenance, _provenance(config, converter, content), anew)
+        check_same(metadata.provenance, provenance_of(config, converter, content), anew)
     tidy(root)
     print(f"{root} is finished; nothing is left to do{' but to upload it' * config.push_to_hub}.")
     if config.json is not None and not config.json.exists():
@@ -189,14 +190,8 @@ def _check_unchanged(begun: "Provenance", config: ConvertConfig, anew: str) -> s
     from cei_converters.sources.formats import find_root
 
     content = fingerprint(find_root(config.dataset.repo_id, config.dataset.root))
-    check_unchanged(begun, {DATASET: content, **_files(config)}, anew)
+    check_unchanged(begun, {DATASET: content, **files_by_content(config)}, anew)
     return content
-
-
-def _files(config: ConvertConfig) -> dict[str, str]:
-    """Fingerprints of the files that options name."""
-    named = {name.replace("_", " "): getattr(config, name) for name in BY_CONTENT}
-    return {name: fingerprint(Path(file)) for name, file in named.items() if file is not None}
 
 
 def _planned(
@@ -222,13 +217,13 @@ def _planned(
 
     absolutely = absolute(config, converter.reader.root)
     if begun is not None:
-        begun.check_same(_provenance(config, converter, content()), place.folder)
+        begun.check_same(provenance_of(config, converter, content()), place.folder)
         converter.start_from(begun.finalists)
         if config.shard_episodes != begun.config.shard_episodes:
             print(f"Shards stay as they were begun: --shard_episodes={begun.config.shard_episodes}.")
         return replace(begun, config=replace(absolutely, shard_episodes=begun.config.shard_episodes))
     converter.fit()
-    provenance = _provenance(config, converter, content())
+    provenance = provenance_of(config, converter, content())
     plan = Plan(absolutely, provenance, converter.transfer.finalists, frames)
     plan.save(place.plan)
     return plan
@@ -284,94 +279,6 @@ def _new_root(config: ConvertConfig) -> Path:
     from cei_converters.dataset.writer import default_root
 
     return Path(config.new_root) if config.new_root is not None else default_root(str(config.new_repo_id))
-
-
-def _check_fit(config: ConvertConfig, reader: "Recorded") -> None:
-    """Check that a dataset has what options are about.
-
-    Raises:
-        CEIError: an option changes nothing with this dataset.
-    """
-    if reader.metadata is not None and config.source_pose is not None:
-        raise CEIError(f"{reader.repo_id} says where its base is (meta/cei.json); leave out --source_pose.")
-    if not (reader.has_clouds or reader.depth_cameras):
-        check_of_use(
-            config, dict.fromkeys(("clouds.*", "check_clouds"), "where a dataset has neither depth nor clouds")
-        )
-
-
-def _about_cameras(reader: "Recorded", pass_through: bool) -> str:
-    """One line: what becomes of the dataset's cameras."""
-    if reader.depth_cameras:
-        clouds = f"Clouds are made from the depth of {', '.join(reader.depth_cameras)}"
-    elif reader.has_clouds:
-        clouds = "Clouds are made from the recorded ones"
-    else:
-        clouds = "Neither depth nor clouds: converted in joints"
-    if not reader.cameras:
-        return clouds + "."
-    if not pass_through:
-        return f"{clouds}; left out, as they show objects where they were recorded: {', '.join(reader.cameras)}."
-    return f"{clouds}; passed through untouched, so they still show the source robot: {', '.join(reader.cameras)}."
-
-
-def _notes(converter: "Converter") -> dict[str, list[str]]:
-    """What was assumed or left out of the descriptions of robots, by their names; nothing of those of which nothing is said."""
-    return {body.name: [*body.notes] for body in (converter.reader.embodiment, converter.transfer.target) if body.notes}
-
-
-def _about_columns(reader: "Recorded") -> list[str]:
-    """A line each: which features are carried over as they are, and which are not, and why."""
-    lines = [f"Carried over as they are: {', '.join(reader.carried)}."] if reader.carried else []
-    reasons: dict[str, list[str]] = {}
-    for name, reason in reader.dropped.items():
-        reasons.setdefault(reason, []).append(name)
-    return [*lines, *(f"Not carried over, {reason}: {', '.join(names)}." for reason, names in reasons.items())]
-
-
-def _about_table(z_m: float) -> str:
-    return (
-        f"warning: nothing says where the table is, so it is taken to be at {z_m:g} m (world), where the source's lowest point was; if it is "
-        "elsewhere, give --table_z_m, or a --calibration with workspace_world."
-    )
-
-
-def _provenance(config: ConvertConfig, converter: "Converter", content: str) -> "Provenance":
-    """How the dataset comes about; `content` is the fingerprint of the one that is converted."""
-    from cei_converters.dataset.license import source_license
-    from cei_converters.dataset.metadata import Source
-    from cei_converters.dataset.provenance import collect, command_line, published
-    from cei_converters.sources.joint_map import load_joint_map
-    from cei_gym.embodiment import fingerprint as identity
-
-    reader, root = converter.reader, config.dataset.root
-    source = Source(
-        repo_id=reader.repo_id,
-        embodiment=reader.embodiment.name,
-        root_name=Path(root).name if root else None,
-        revision=_revision(reader.root) if root is None else None,
-        fingerprint=content,
-        depth_cameras=reader.depth_cameras,
-        carried=tuple(reader.carried),
-        dropped=dict(reader.dropped),
-        **source_license(reader.root),
-    )
-    options = published(config)
-    del options["dataset"]  # which is the source
-    options["table"] = {"z_m": reader.scene.support_z_m, "said_by": reader.table_from}
-    inputs = {
-        "source embodiment": identity(reader.embodiment),
-        "target embodiment": identity(converter.transfer.target),
-        **_files(config),
-    }
-    if config.joint_map is not None:
-        options["joint_map"] = load_joint_map(config.joint_map)
-    return collect(options, command_line("cei-convert", config), source=source, inputs=inputs, notes=_notes(converter))
-
-
-def _revision(root: Path) -> str | None:
-    """Commit of a dataset in the hub's cache, where folders are named by it."""
-    return root.name if root.parent.name == "snapshots" else None
 
 
 def main(args: list[str] | None = None) -> int:

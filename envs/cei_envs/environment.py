@@ -1,4 +1,7 @@
-"""What every CEI environment shares: observation, absolute joint actions that wait, restorable starts, pictures."""
+"""What every CEI environment shares: observation, absolute joint actions that wait, restorable starts, pictures.
+
+Long: one page says all that a task shares with the others and what its author fills in.
+"""
 
 import operator
 from abc import ABC, abstractmethod

@@ -1,4 +1,7 @@
-"""Read a LeRobot v3.0 dataset as demonstrations, one episode at a time."""
+"""Read a LeRobot v3.0 dataset as demonstrations, one episode at a time.
+
+Long: one format, read lazily, column by column; its parts share the open dataset.
+"""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
