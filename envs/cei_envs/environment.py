@@ -56,6 +56,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+    """Gymnasium's: how it renders, at how many steps a second."""
 
     def __init__(
         self,

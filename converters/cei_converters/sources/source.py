@@ -31,7 +31,12 @@ DEFAULT_WORKSPACE_M = np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
 
 @dataclass(frozen=True)
 class Joints:
-    """An episode's joints: positions and targets (T, n), rad or m, and how well they could be had."""
+    """An episode's joints.
+
+    Attributes:
+        qpos, action: (T, n) positions and targets, rad or m.
+        figures: how well they could be had, such as `ik_position_mm`.
+    """
 
     qpos: np.ndarray
     action: np.ndarray
