@@ -184,6 +184,15 @@ def test_a_command_that_breaks_is_seen(language: str, tmp_path: Path, monkeypatc
         assert len(runner.ran) == 1
 
 
+def test_a_file_that_a_document_gives_is_there_for_its_commands(tmp_path: Path) -> None:
+    (tmp_path / "README.md").write_text(
+        "```yaml\n# robots/mine.yaml\nname: Mine\n```\n\n```bash\ngrep -q Mine robots/mine.yaml\n```\n\n```yaml\nname: Other\n```\n"
+    )
+    (tmp_path / "work").mkdir()
+    documents.Runner(tmp_path, tmp_path / "work").run("README.md")
+    assert [path.name for path in (tmp_path / "work/README/robots").iterdir()] == ["mine.yaml"]
+
+
 def test_a_command_that_makes_nothing_is_seen(tmp_path: Path) -> None:
     (tmp_path / "README.md").write_text("```bash\ntrue --sheet=outputs/picture.png\n```\n")
     (tmp_path / "work").mkdir()
