@@ -31,8 +31,7 @@ documents: setup ## Run every command and piece of code of the documents, made s
 	@$(PYTHON_ENV) -P tests/smoke/documents.py . $(DOCUMENTS)
 
 docs: setup ## Build the documentation site into outputs/site; broken links and undocumented public names fail
-	@NO_MKDOCS_2_WARNING=1 $(PYTHON_ENV) -m mkdocs build --strict --quiet
-	@echo "Wrote outputs/site/index.html."
+	@NO_MKDOCS_2_WARNING=1 $(PYTHON_ENV) -m mkdocs build --strict
 
 ray: setup ## Test conversions on a Ray cluster of this machine
 	@CEI_RAY=1 $(PYTHON_ENV) -m pytest -k ray tests/test_resume.py

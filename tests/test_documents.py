@@ -202,13 +202,14 @@ def test_a_command_that_makes_nothing_is_seen(tmp_path: Path) -> None:
 
 def test_ci_runs_the_documents_the_demo_and_the_wheels() -> None:
     lines = [line.partition("#")[0].strip() for line in (ROOT / ".ci/run").read_text().splitlines()]
-    runs = r"""make (setup|check|test|build)\b.*|make demo .*|installed wheel\.py|installed documents\.py "\$PWD"|test -s outputs/demo/report\.html"""
+    runs = r"""make (setup|check|docs|test|build)\b.*|make demo .*|installed wheel\.py|installed documents\.py "\$PWD"|test -s outputs/demo/report\.html"""
     found = [line for line in lines if re.fullmatch(runs, line)]
     assert "set -euo pipefail" in lines
-    assert len(found) == 8, found
+    assert len(found) == 9, found
     made = (ROOT / "Makefile").read_text()
     assert re.search(r"^demo: .*\n\t@.*cei_converters\.start demo", made, re.MULTILINE)
     assert re.search(r"^documents: .*\n\t@.*smoke/documents\.py", made, re.MULTILINE)
+    assert re.search(r"^docs: .*\n\t@.*mkdocs build --strict$", made, re.MULTILINE)
 
 
 def test_the_readme_counts_what_it_counts() -> None:

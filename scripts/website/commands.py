@@ -24,8 +24,9 @@ def with_help(markdown: str) -> str:
     if not marks:
         return markdown
     with ThreadPoolExecutor(2) as pool:
-        texts = dict(zip((mark[0] for mark in marks), pool.map(lambda mark: _help(mark[1], mark[2].split()), marks)))
-    return MARK.sub(lambda mark: f"```text\n{texts[mark[0]]}\n```", markdown)
+        texts = pool.map(lambda mark: _help(mark[1], mark[2].split()), marks)
+        of_mark = dict(zip((mark[0] for mark in marks), texts, strict=True))
+    return MARK.sub(lambda mark: f"```text\n{of_mark[mark[0]]}\n```", markdown)
 
 
 def _help(command: str, more: list[str]) -> str:
@@ -33,7 +34,7 @@ def _help(command: str, more: list[str]) -> str:
     module, function = entry_points()[command].split(":")
     code = f"import sys; from {module} import {function} as main; sys.argv[0] = {command!r}; sys.exit(main())"
     paths = [str(ROOT), *(str(ROOT / part) for part in ("converters", "envs", "policies"))]
-    environment = os.environ | {"COLUMNS": "110", "NO_COLOR": "1", "PYTHONPATH": os.pathsep.join(paths)}
+    environment = os.environ | {"COLUMNS": "100", "NO_COLOR": "1", "PYTHONPATH": os.pathsep.join(paths)}
     done = subprocess.run(
         [sys.executable, "-c", code, *more, "--help"], capture_output=True, text=True, env=environment, check=False
     )

@@ -73,6 +73,8 @@ def _is_documented(found: griffe.Class, name: str) -> bool:
 def _is_set_by_a_method(found: griffe.Class, member: griffe.Object) -> bool:
     """What a method assigns is shown, and so public, if it is documented."""
     methods = [each for each in found.members.values() if each.is_function and not each.is_alias]
-    return member.is_attribute and not member.has_docstring and any(
-        each.lineno < member.lineno <= each.endlineno for each in methods
+    return (
+        member.is_attribute
+        and not member.has_docstring
+        and any(each.lineno < member.lineno <= each.endlineno for each in methods)
     )

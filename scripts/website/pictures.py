@@ -22,7 +22,9 @@ def pads(path: Path) -> None:
     rows = []
     for name in ("PandaGripper", "Inspire"):
         embodiment = build_embodiment(None, load_end_effector(name))
-        picture = draw_representation(sample_representation(embodiment, 128, 0), (embodiment.home + embodiment.closed) / 2)
+        picture = draw_representation(
+            sample_representation(embodiment, 128, 0), (embodiment.home + embodiment.closed) / 2
+        )
         image = Image.fromarray(picture)
         ImageDraw.Draw(image).text((16, 12), name, fill=(40, 40, 40), font=ImageFont.load_default(28))
         rows.append(np.asarray(image))
@@ -61,7 +63,7 @@ def pipeline() -> str:
     ]
     head = (
         '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1010 300" role="img" '
-        'aria-label="From one robot\'s dataset by reading, augmenting, retargeting, judging and encoding to another\'s, and to a policy">'
+        "aria-label=\"From one robot's dataset by reading, augmenting, retargeting, judging and encoding to another's, and to a policy\">"
         '<defs><marker id="head" markerWidth="9" markerHeight="8" refX="8" refY="4" orient="auto">'
         '<path d="M0 0 L9 4 L0 8 z" fill="#555"/></marker></defs><rect width="1010" height="300" fill="white"/>'
     )
@@ -70,12 +72,16 @@ def pipeline() -> str:
 
 def _box(x: int, y: int, width: int, height: int, title: str, lines: list[str], fill: str) -> str:
     middle, top = x + width / 2, y + height / 2 - 9 * len(lines)
-    text = [f'<text x="{middle:g}" y="{top + 3:g}" {_FONT} font-size="14" font-weight="bold" text-anchor="middle">{escape(title)}</text>']
+    text = [
+        f'<text x="{middle:g}" y="{top + 3:g}" {_FONT} font-size="14" font-weight="bold" text-anchor="middle">{escape(title)}</text>'
+    ]
     text += [
         f'<text x="{middle:g}" y="{top + 22 + 15 * i:g}" {_FONT} font-size="10.5" fill="#333" text-anchor="middle">{escape(line)}</text>'
         for i, line in enumerate(lines)
     ]
-    return "\n".join([f'<rect x="{x}" y="{y}" width="{width}" height="{height}" rx="6" fill="{fill}" stroke="#78909c"/>', *text])
+    return "\n".join(
+        [f'<rect x="{x}" y="{y}" width="{width}" height="{height}" rx="6" fill="{fill}" stroke="#78909c"/>', *text]
+    )
 
 
 def _arrow(x: int, y: int, to: int) -> str:

@@ -25,9 +25,7 @@ def collect(config: MkDocsConfig) -> list[File]:
             inside = [path for path in paths if posixpath.dirname(path) == folder]
             lines = [f"- [{name}]({name})" for name in map(posixpath.basename, inside)]
             text = "\n".join([f"# {folder}", "", *lines, ""])
-            files.append(
-                File.generated(config, f"{folder}/{_PAGE}", content=text, inclusion=InclusionLevel.NOT_IN_NAV)
-            )
+            files.append(File.generated(config, f"{folder}/{_PAGE}", content=text, inclusion=InclusionLevel.NOT_IN_NAV))
     return files
 
 
