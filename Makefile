@@ -10,7 +10,7 @@ DEMO_ARGS ?=
 # Python may cache what it compiles: importing everything anew takes 14 s a process.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup demo test documents ray check format type build benchmark lock clean
+.PHONY: help setup demo test documents docs ray check format type build benchmark lock clean
 
 help: ## List the targets (the default)
 	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1 # \2/p' $(MAKEFILE_LIST) | awk -F' # ' '{ printf "%-18s %s\n", $$1, $$2 }'
@@ -29,6 +29,9 @@ test: setup ## Run the tests (PYTEST_ARGS="-k word" picks some)
 
 documents: setup ## Run every command and piece of code of the documents, made small (DOCUMENTS=docs/policies.md picks some)
 	@$(PYTHON_ENV) -P tests/smoke/documents.py . $(DOCUMENTS)
+
+docs: setup ## Build the documentation site into outputs/site; broken links and undocumented public names fail
+	@NO_MKDOCS_2_WARNING=1 $(PYTHON_ENV) -m mkdocs build --strict
 
 ray: setup ## Test conversions on a Ray cluster of this machine
 	@CEI_RAY=1 $(PYTHON_ENV) -m pytest -k ray tests/test_resume.py

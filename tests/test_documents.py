@@ -184,6 +184,15 @@ def test_a_command_that_breaks_is_seen(language: str, tmp_path: Path, monkeypatc
         assert len(runner.ran) == 1
 
 
+def test_a_file_that_a_document_gives_is_there_for_its_commands(tmp_path: Path) -> None:
+    (tmp_path / "README.md").write_text(
+        "```yaml\n# robots/mine.yaml\nname: Mine\n```\n\n```bash\ngrep -q Mine robots/mine.yaml\n```\n\n```yaml\nname: Other\n```\n"
+    )
+    (tmp_path / "work").mkdir()
+    documents.Runner(tmp_path, tmp_path / "work").run("README.md")
+    assert [path.name for path in (tmp_path / "work/README/robots").iterdir()] == ["mine.yaml"]
+
+
 def test_a_command_that_makes_nothing_is_seen(tmp_path: Path) -> None:
     (tmp_path / "README.md").write_text("```bash\ntrue --sheet=outputs/picture.png\n```\n")
     (tmp_path / "work").mkdir()
@@ -193,17 +202,18 @@ def test_a_command_that_makes_nothing_is_seen(tmp_path: Path) -> None:
 
 def test_ci_runs_the_documents_the_demo_and_the_wheels() -> None:
     lines = [line.partition("#")[0].strip() for line in (ROOT / ".ci/run").read_text().splitlines()]
-    runs = r"""make (setup|check|test|build)\b.*|make demo .*|installed wheel\.py|installed documents\.py "\$PWD"|test -s outputs/demo/report\.html"""
+    runs = r"""make (setup|check|docs|test|build)\b.*|make demo .*|installed wheel\.py|installed documents\.py "\$PWD"|test -s outputs/demo/report\.html"""
     found = [line for line in lines if re.fullmatch(runs, line)]
     assert "set -euo pipefail" in lines
-    assert len(found) == 8, found
+    assert len(found) == 9, found
     made = (ROOT / "Makefile").read_text()
     assert re.search(r"^demo: .*\n\t@.*cei_converters\.start demo", made, re.MULTILINE)
     assert re.search(r"^documents: .*\n\t@.*smoke/documents\.py", made, re.MULTILINE)
+    assert re.search(r"^docs: .*\n\t@.*mkdocs build --strict$", made, re.MULTILINE)
 
 
-def test_the_readme_counts_what_it_counts() -> None:
-    readme, changes = ((ROOT / name).read_text() for name in ("README.md", "CHANGELOG.md"))
-    for text in (readme, changes):
+def test_documents_count_what_they_count() -> None:
+    commands, changes = ((ROOT / name).read_text() for name in ("docs/commands.md", "CHANGELOG.md"))
+    for text in (commands, changes):
         claimed = int(re.findall(r"more than\s+([\d,]+)\s+(?:ways|cases)", text)[0].replace(",", ""))
         assert 0.8 * len(corpus(seed=0)) < claimed < len(corpus(seed=0))

@@ -26,7 +26,16 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Motion:
-    """A trajectory to follow; see `Solver.track` for each attribute. `grip`: what the source's end-effector does."""
+    """A trajectory to follow.
+
+    Attributes:
+        points_base, normals_base: (T, N, 3) source representation in the target's base frame, m and unit.
+        u0: (m,) independent joints where frame 0 starts, rad or m.
+        iterations: another budget a frame than that of the options.
+        dt_s: time between frames; with it, joints keep their velocity limits.
+        surroundings: what links keep clear of.
+        grip: what the source's end-effector does.
+    """
 
     points_base: np.ndarray
     normals_base: np.ndarray
@@ -81,6 +90,7 @@ class AlignmentProblem:
 
     @property
     def embodiment(self) -> Embodiment:
+        """The target."""
         return self.representation.embodiment
 
     def place(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -118,7 +118,11 @@ class ArmSpec(_Part):
     """An arm: description, flange and home pose (rad).
 
     Attributes:
+        name: that of the file; no hyphen.
+        description: path of the MJCF or URDF, from the YAML's folder, or `package://<package>/<path>`.
         mount_body: the flange.
+        home: joint to its rest position, rad or m.
+        physics: departures from the simulator's physics.
         root_body: subtree that is the arm, its first frame the base; empty means all of the description.
         joints: those of the description that are the arm's; others are held where they are drawn; empty means all.
         inertia_groups: first and last group of the geoms that have mass, where the description leaves that to the file
@@ -152,6 +156,9 @@ class EndEffectorSpec(_Part):
     """An end-effector: description, mount, couplings, poses and pads.
 
     Attributes:
+        name, description: as for an arm.
+        pads: of its fingers.
+        physics: departures from the simulator's physics.
         root_body: subtree to attach; empty means the description's first body.
         angle: "radian" or "degree" where the description does not say (MJCF then means degrees).
         inertia_groups: as for an arm.

@@ -59,6 +59,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+    """Gymnasium's: how it renders, at how many steps a second."""
 
     def __init__(
         self,
@@ -107,7 +108,9 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         self._noise = as_noise(depth_noise)
         calibrated = placed if self._noise is None else tuple(believed(camera, self._noise) for camera in placed)
         self.simulation = Simulation(self.embodiment, self.make_robosuite, stock_physics)
+        """What it runs: model, joints, contacts, for a task to ask."""
         self.scene = Scene(self.simulation.T_world_base, calibrated, self.workspace_world())
+        """Base, depth cameras as calibrated, workspace."""
         self._camera = DepthCamera(self.simulation.model, placed) if clouds else None
         self._colours = geom_colours(self.simulation.model) if colours else None
         self._depth_m: dict[str, np.ndarray] = {}

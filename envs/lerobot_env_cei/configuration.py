@@ -40,12 +40,14 @@ class CEIEnvConfig(EnvConfig):
         dataset: of the policy's demonstrations, a folder or a repo id: episodes are as there, from the task to where the robot
             starts, its cameras and the options of its clouds, unless options say otherwise.
         task: `<Task>-<Arm>-<EndEffector>`, with or without `CEI-` in front; without a dataset, robots start at home.
+        fps: steps a second, as LeRobot asks for.
         augment: show policies the clouds that `cei-convert` makes (`CrossEmbodimentWrapper`), not those of the cameras; None
             for yes, unless the dataset is no converted one.
         clouds: options of these clouds, as those of `cei-convert`; None for the dataset's, else the default.
         cameras, depth_noise, colours: see `cei_envs.environment.CEIEnv`.
         episode_length: most steps of an episode.
         render: pictures for videos.
+        features_map: entry of an observation, or `action`, to the name that policies know it by.
     """
 
     dataset: str | None = None

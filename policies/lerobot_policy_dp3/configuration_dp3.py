@@ -35,6 +35,7 @@ class DP3Config(PreTrainedConfig):
         n_obs_steps: observations that an action depends on.
         horizon: actions predicted at once, from the first of those observations on.
         n_action_steps: of these, how many are executed before the next prediction.
+        normalization_mapping: how states and actions are normalised; clouds are scaled to their bounds.
         cloud_key: feature with the point cloud, (N, 3) m or, with colours, (N, 6); flat if its dataset says its shape in
             `info.shape`. Other features but the state are ignored.
         cloud_bounds: least and largest value of each channel, which become -1 and 1; None for those of the dataset that is trained on.

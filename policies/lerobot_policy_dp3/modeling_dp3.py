@@ -28,7 +28,9 @@ class DP3Policy(PreTrainedPolicy):
     """See `DP3Config`. Weights are trained, and their running average acts; checkpoints hold both."""
 
     config_class = DP3Config  # pyright: ignore[reportAssignmentType]
+    """LeRobot's: the options of this policy."""
     name = "dp3"  # pyright: ignore[reportAssignmentType]
+    """LeRobot's: what `--policy.type` calls it."""
 
     def __init__(
         self,

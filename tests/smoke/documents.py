@@ -112,6 +112,11 @@ class Block:
             lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
         return [line.strip() for line in lines if line.strip()]
 
+    def file(self) -> str | None:
+        """Where a YAML block belongs, as its first line says: `# robots/arms/Mine.yaml`; None if it does not."""
+        found = re.match(r"# (\w[\w/]*\.ya?ml)\n", self.text)
+        return found[1] if found and self.language == "yaml" else None
+
 
 def documents(checkout: Path) -> list[str]:
     """All of them, the README first: it makes what the others start from."""
@@ -176,7 +181,10 @@ class Runner:
         if document != "README.md" and (shell or any(block.language in PYTHON for block in found)):
             self._provide(folder, [path for command in shell if command not in first for path in made_by(command)])
         for block in found:
-            if block.language in PYTHON:
+            if (path := block.file()) is not None:
+                (folder / path).parent.mkdir(parents=True, exist_ok=True)
+                (folder / path).write_text(block.text)
+            elif block.language in PYTHON:
                 before = textwrap.dedent(BEFORE.get(document, ""))
                 self._call([sys.executable, "-c", f"{before}\n{block.text}"], folder, f"{document}: Python")
             elif block.language in SHELL:

@@ -88,7 +88,14 @@ def make_steps(names: Sequence[str], transfer: "Transfer") -> list[Step]:
 
 @dataclass(frozen=True)
 class Read:
-    """From an episode's place to what is recorded, augmented if that is asked for."""
+    """From an episode's place to what is recorded, augmented if that is asked for.
+
+    Attributes:
+        reader: what episodes are read from.
+        selected: which of its episodes is at each place.
+        augmentation: which variants are made of each, if any.
+        then: steps that packages add, in their order.
+    """
 
     reader: "Source"
     selected: Sequence[int]
@@ -109,7 +116,15 @@ class Read:
 
 @dataclass(frozen=True)
 class Retarget:
-    """From what is recorded to the target's, verified by replay if that is asked for."""
+    """From what is recorded to the target's, verified by replay if that is asked for.
+
+    Attributes:
+        transfer: fitted.
+        verifier: who replays, if that is asked for.
+        modes: distinct motions, which episodes take in turn.
+        clouds: whether clouds are synthesised.
+        then: steps that packages add, in their order.
+    """
 
     transfer: "Transfer"
     verifier: "Verifier | None"
@@ -132,7 +147,12 @@ class Retarget:
 
 @dataclass(frozen=True)
 class Judge:
-    """What becomes of an episode."""
+    """What becomes of an episode.
+
+    Attributes:
+        gate: what decides by quality.
+        allow_unreachable: whether frames out of reach are kept.
+    """
 
     gate: Gate
     allow_unreachable: bool
@@ -156,7 +176,16 @@ class Judge:
 
 @dataclass(frozen=True)
 class Encode:
-    """From what is judged to what is stored of it."""
+    """From what is judged to what is stored of it.
+
+    Attributes:
+        reader: what episodes are read from.
+        target: name of the embodiment.
+        state_key: LeRobot's feature that the state of objects becomes.
+        modes: distinct motions, which episodes take in turn.
+        allow_unreachable: whether frames out of reach are kept.
+        dry_run: whether nothing is stored.
+    """
 
     reader: "Source"
     target: str

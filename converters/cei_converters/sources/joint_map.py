@@ -77,8 +77,19 @@ class ActionMap:
 
 @dataclass(frozen=True)
 class JointMap:
-    """What a YAML file says; see `FORMAT`, and `PoseMap` for `pose`. Without joints and pose, the state's columns are the embodiment's
-    joints (of formats that name them), and only what is said of actions or fps counts."""
+    """What a YAML file says; `cei-convert --help` has its format. Without joints and pose, the state's columns are the embodiment's
+    joints (of formats that name them), and only what is said of actions or fps counts.
+
+    Attributes:
+        joints: groups of joints that are stored alike: columns, unit, sign, offset.
+        embodiment: whose joints they are; None where the command or the dataset says it.
+        state: LeRobot's feature that has the joints.
+        action: what actions are; None for the next frame's state.
+        fps: frames a second, where the recording does not say.
+        pose: where the end-effector's pose is, if there is one instead of the arm's joints.
+        fixed: joints that are not stored, and where they stand, rad or m.
+        ignore: columns that are no joints, or "rest".
+    """
 
     joints: list[JointGroup] = field(default_factory=list)
     embodiment: str | None = None

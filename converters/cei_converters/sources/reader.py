@@ -24,7 +24,8 @@ from cei_converters.sources.binding import BoundJointMap, bind
 from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.joint_map import ActionMap, JointMap
 from cei_converters.sources.recording import Recording, Recordings, spread
-from cei_converters.sources.source import Source, scene_without_metadata, table_from
+from cei_converters.sources.scene import scene_without_metadata, table_from
+from cei_converters.sources.source import Source
 from cei_gym.channels import OnTransfer, channels
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.errors import CEIError

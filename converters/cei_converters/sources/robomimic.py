@@ -36,7 +36,8 @@ from cei_converters.sources.robomimic_file import (
     width_of,
 )
 from cei_converters.sources.robosuite import ACTIONS, action_entries
-from cei_converters.sources.source import Source, scene_without_metadata, table_from
+from cei_converters.sources.scene import scene_without_metadata, table_from
+from cei_converters.sources.source import Source
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError
 

@@ -15,7 +15,6 @@ from cei_converters.dataset.essentials import Remains
 from cei_converters.dataset.metadata import Metadata, restore_with
 from cei_converters.sources.actions import BoundActions
 from cei_converters.sources.binding import BoundJointMap
-from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.checks import LEAST_FRAMES, check_finite, likely_unit
 from cei_converters.sources.joint_map import ABSOLUTE
 from cei_converters.sources.plausible import check_actions
@@ -26,13 +25,16 @@ from cei_gym.kinematics.inverse import follow_link
 
 # how far outside its range a joint may be read, before its unit must be wrong
 UNIT_SLACK = {"rad": np.pi, "m": 0.5}
-# stands in for the workspace of a dataset that does not say: about any arm's reach; where the table is, it says nothing of
-DEFAULT_WORKSPACE_M = np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
 
 
 @dataclass(frozen=True)
 class Joints:
-    """An episode's joints: positions and targets (T, n), rad or m, and how well they could be had."""
+    """An episode's joints.
+
+    Attributes:
+        qpos, action: (T, n) positions and targets, rad or m.
+        figures: how well they could be had, such as `ik_position_mm`.
+    """
 
     qpos: np.ndarray
     action: np.ndarray
@@ -282,18 +284,3 @@ class Source(ABC):
     def _limits(self, q: int) -> str:
         body = self.embodiment
         return f"[{body.lower[q]:.4g}, {body.upper[q]:.4g}] {body.joint_units[q]}"
-
-
-def scene_without_metadata(T_world_base: np.ndarray | None, calibration: Calibration | None) -> Scene:
-    """What is known of the scene of a dataset that does not say. Where its table is, only a calibration's workspace says."""
-    if T_world_base is None:
-        T_world_base = (
-            np.eye(4) if calibration is None or calibration.T_world_base is None else calibration.T_world_base
-        )
-    scene = Scene(T_world_base, (), DEFAULT_WORKSPACE_M + T_world_base[:3, 3])
-    return scene if calibration is None else replace(calibration, T_world_base=None).over(scene)
-
-
-def table_from(calibration: Calibration | None) -> str:
-    """Who says where the table is, if a calibration does."""
-    return "the calibration's workspace" if calibration is not None and calibration.workspace_world is not None else ""

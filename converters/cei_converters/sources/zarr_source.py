@@ -15,7 +15,8 @@ from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.checks import check_cloud
 from cei_converters.sources.joint_map import ActionMap, JointMap
 from cei_converters.sources.recording import Recording, Recordings, spread
-from cei_converters.sources.source import Source, scene_without_metadata, table_from
+from cei_converters.sources.scene import scene_without_metadata, table_from
+from cei_converters.sources.source import Source
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json

@@ -98,6 +98,7 @@ class PickCubeEnv(CEIEnv):
 
     @cached_property
     def cube(self) -> Cube:
+        """The cube in the simulation."""
         return Cube(self.model, self.simulation.data, "cube_main")
 
     @property

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from cei_converters.sources.source import Source, scene_without_metadata
+from cei_converters.sources.scene import scene_without_metadata
+from cei_converters.sources.source import Source
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
