@@ -74,7 +74,7 @@ def grid_offsets(positions: tuple[int, int], extent_m: tuple[float, float]) -> l
     return [Offset(float(a), float(b)) for a in x for b in y]
 
 
-def growth(frames: int, whole: float) -> np.ndarray:
+def ramp(frames: int, whole: float) -> np.ndarray:
     """L(t), the clipped linear ramp.
 
     Args:
@@ -129,7 +129,7 @@ def displace(
         for name, declared, value in present(demonstration)
         if declared.on_displacement is not OnDisplacement.AS_RECORDED
     }
-    T_world_source = displacement(offset, about, growth(len(demonstration), whole))
+    T_world_source = displacement(offset, about, ramp(len(demonstration), whole))
     moved = Displacement(T_world_objects, T_world_source, objects)
     return replace(demonstration, **there, displacement=moved)
 

@@ -54,7 +54,7 @@ class Impersonation:
     def begin_at(self, qpos: np.ndarray) -> None:
         """Start with the target at `qpos` (n',), and the source where its pads come nearest to the target's."""
         self._measured = self._expected = self.target.coupled.reduce(np.asarray(qpos, float))
-        self._stream.go_on_from(self._measured)
+        self._stream.resume_from(self._measured)
         problem, _ = self._back
         points, normals = self._pads_in_source(self._measured)
         u = find_basins(problem, self._transfer.solver_options, points, normals, self._transfer.init)[0]

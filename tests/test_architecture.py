@@ -112,7 +112,7 @@ LAYERS = {
         *("registry", "options", "kernels", "grip", "manual", "problem", "links", "contact", "solvers", "judge"),
         *("retime", "follow", "start", "stream"),
     ],
-    "cei_gym.alignment.kernels": ["step", "target", "quadratic", "distance", "keep_out", "frame", "contact", "grasp"],
+    "cei_gym.alignment.kernels": ["step", "target", "quadratic", "distance", "collision", "frame", "contact", "grasp"],
     "cei_gym.transfer": [
         *("options", "attempt", "live", "source_side", "scenes", "specified", "following", "transfer"),
     ],
@@ -121,11 +121,11 @@ LAYERS = {
         *("pads", "record", "replay", "convert", "restore", "report", "demo", "benchmark"),
     ],
     "cei_converters.conversion": [
-        *("executors", "in_order", "agreement", "verify", "augment", "gate", "reach", "survey", "episode", "steps"),
+        *("executors", "ordered_map", "agreement", "verify", "augment", "gate", "reach", "survey", "episode", "steps"),
         *(
             "shard",
             "config",
-            "workplace",
+            "staging",
             "converter",
             "plan",
             "assumptions",

@@ -30,8 +30,8 @@ from cei_gym.augmentation import (
     displace,
     displacement,
     grid_offsets,
-    growth,
     move_state,
+    ramp,
 )
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.displacement import Boxes
@@ -59,19 +59,19 @@ def handling(held: list[int], frames: int = FRAMES) -> Handling:
 
 def test_the_ramp_is_the_papers() -> None:
     L = 25
-    np.testing.assert_allclose(growth(L, 0.8 * L), [min(t / (0.8 * L), 1) for t in range(L)])
-    np.testing.assert_array_equal(growth(3, 0), 1)
+    np.testing.assert_allclose(ramp(L, 0.8 * L), [min(t / (0.8 * L), 1) for t in range(L)])
+    np.testing.assert_array_equal(ramp(3, 0), 1)
 
 
 def test_without_a_turn_points_go_the_papers_way() -> None:
-    X, L = np.random.default_rng(0).normal(size=(FRAMES, 5, 3)), growth(FRAMES, 6.5)
+    X, L = np.random.default_rng(0).normal(size=(FRAMES, 5, 3)), ramp(FRAMES, 6.5)
     T = displacement(Offset(0.1, -0.2), ABOUT, L)
     paper = X + L[:, None, None] * ((X + [0.1, -0.2, 0]) - X)
     np.testing.assert_allclose(X @ T[:, :3, :3].mT + T[:, None, :3, 3], paper, atol=1e-12)
 
 
 def test_a_turn_is_about_the_vertical_through_the_hold_and_bends_nothing() -> None:
-    T = displacement(OFFSET, ABOUT, growth(FRAMES, 6))
+    T = displacement(OFFSET, ABOUT, ramp(FRAMES, 6))
     np.testing.assert_allclose(T[0], np.eye(4), atol=1e-12)
     np.testing.assert_allclose(T[6:], np.tile(displacement(OFFSET, ABOUT), (FRAMES - 6, 1, 1)), atol=1e-12)
     np.testing.assert_allclose(T[:, :3, :3].mT @ T[:, :3, :3], np.tile(np.eye(3), (FRAMES, 1, 1)), atol=1e-12)

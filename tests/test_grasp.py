@@ -32,14 +32,14 @@ from cei_gym.alignment.contact.refine import GraspRefiner
 from cei_gym.alignment.contact.squeeze import squeeze
 from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.grip import Grip
-from cei_gym.alignment.kernels import contact, keep_out
+from cei_gym.alignment.kernels import collision, contact
 from cei_gym.alignment.kernels.contact import SOFTNESS_M, in_grip
 from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.frame import empty_memory
 from cei_gym.alignment.kernels.quadratic import project
 from cei_gym.alignment.kernels.target import empty_pose, make_target
-from cei_gym.alignment.links import keep_nothing_out, keep_out_links, link_shapes
-from cei_gym.alignment.retime import pace
+from cei_gym.alignment.links import collision_constraint, link_shapes, no_collision_constraint
+from cei_gym.alignment.retime import retime
 from cei_gym.alignment.start.starts import find_basins
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import END_EFFECTORS, Embodiment, Pad, load_embodiment
@@ -655,7 +655,7 @@ def test_the_energys_gradient_is_its_finite_difference(name: str, seed: int) -> 
         weights["facing"] = 5.0
     wish = contact.GraspTarget(**wishes, **(weights | {"turning": 1e4}))
     nothing = np.zeros((0, 3))
-    links = contact.Links(keep_nothing_out(), keep_nothing_out(), nothing, nothing)
+    links = contact.Links(no_collision_constraint(), no_collision_constraint(), nothing, nothing)
 
     def energy(u: np.ndarray, derivatives: bool = False) -> float:
         return contact.grasp_energy(
@@ -868,7 +868,7 @@ def panda_motion(share_of_fastest: float, frames: int = 8) -> Motion:
 
 def paced(motion: Motion, stretch: float, options: SolverOptions = OPTIONS) -> np.ndarray:
     problem = problem_of(SOURCE)
-    return pace(problem, make_solver(problem, options), options, motion, stretch)[0]
+    return retime(problem, make_solver(problem, options), options, motion, stretch)[0]
 
 
 def test_a_motion_that_can_be_kept_up_with_keeps_its_frames() -> None:
@@ -993,7 +993,7 @@ def test_the_nearest_point_is_that_of_a_search_through_all(seed: int, cutoff: fl
     spread = rng.choice([0.5, 1.0, 3.0]) * radius
     obstacles = middle + rng.normal(0, spread, (int(rng.integers(0, 60)), 3))
     point, normal = np.full(3, np.nan), np.full(3, np.nan)
-    found = keep_out.nearest(links, link, obstacles, pose, k, cutoff, point, normal)
+    found = collision.nearest(links, link, obstacles, pose, k, cutoff, point, normal)
     # All points, all directions; a link is what its directions bound, inside its ball.
     directions = links.directions @ R.T
     reach = (vertices @ links.directions.T).max(axis=0) + directions @ t
@@ -1017,7 +1017,7 @@ def test_the_nearest_point_is_that_of_a_search_through_all(seed: int, cutoff: fl
 @cache
 def fourier_links():
     problem = problem_of("UR5e-FourierLeft")
-    links = keep_out_links(problem, ClearanceOptions())
+    links = collision_constraint(problem, ClearanceOptions())
     balls = []
     for i in range(len(links.joint)):
         vertices = links.vertices[links.start[i] : links.start[i + 1]]

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cei_gym.demonstration import Camera
 from cei_gym.errors import CEIError
-from cei_gym.rendering import DepthNoise, add_noise, as_noise, believed, look_at
+from cei_gym.rendering import DepthNoise, add_noise, as_noise, look_at, miscalibrated
 
 CAMERA = look_at("front", (0.75, 0.45, 1.45), (-0.08, 0, 0.85), 160, 120, 45)
 KINECT = as_noise("kinect") or DepthNoise()
@@ -116,7 +116,7 @@ def test_a_surface_seen_at_a_grazing_angle_has_no_depth(angle_deg: float, turn_d
 @given(tilt_deg=st.floats(0, 20), shift_m=st.floats(0, 0.1), seed=st.integers(0, 2**31))
 def test_a_calibration_is_off_by_what_was_asked_for(tilt_deg: float, shift_m: float, seed: int) -> None:
     noise = DepthNoise(tilt_deg=tilt_deg, shift_m=shift_m, seed=seed)
-    camera = believed(CAMERA, noise)
+    camera = miscalibrated(CAMERA, noise)
     between = np.linalg.inv(CAMERA.T_world_camera) @ camera.T_world_camera
     assert np.rad2deg(Rotation.from_matrix(between[:3, :3]).magnitude()) == pytest.approx(tilt_deg, abs=1e-6)
     assert np.linalg.norm(between[:3, 3]) == pytest.approx(shift_m, abs=1e-9)
@@ -127,7 +127,7 @@ def test_every_camera_and_seed_is_off_in_its_own_direction() -> None:
     noise = DepthNoise(shift_m=1.0)
 
     def direction(camera: Camera, noise: DepthNoise) -> np.ndarray:
-        return (believed(camera, noise).T_world_camera - camera.T_world_camera)[:3, 3]
+        return (miscalibrated(camera, noise).T_world_camera - camera.T_world_camera)[:3, 3]
 
     own = direction(CAMERA, noise)
     np.testing.assert_array_equal(direction(CAMERA, noise), own)

@@ -122,8 +122,8 @@ def test_depth_grows_with_the_surface() -> None:
 
 def test_gate() -> None:
     both = Gate(0.3, 0.6)
-    assert [both.fate(score) for score in (0.29, 0.3, 0.59, 0.6)] == ["dropped", "flagged", "flagged", "kept"]
-    assert [Gate().fate(0.0), Gate(min_quality=0.5).fate(0.4), Gate(flag=0.5).fate(0.4)] == [
+    assert [both.decision(score) for score in (0.29, 0.3, 0.59, 0.6)] == ["dropped", "flagged", "flagged", "kept"]
+    assert [Gate().decision(0.0), Gate(min_quality=0.5).decision(0.4), Gate(flag=0.5).decision(0.4)] == [
         "kept",
         "dropped",
         "flagged",

@@ -22,9 +22,9 @@ from cei_gym.alignment import (
 )
 from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.judge.clearance import Clearance
-from cei_gym.alignment.kernels import frame, keep_out
+from cei_gym.alignment.kernels import collision, frame
 from cei_gym.alignment.kernels.target import load_source, make_target
-from cei_gym.alignment.links import LinkShapes, idle_bodies, keep_out_links, link_shapes, pack_obstacles
+from cei_gym.alignment.links import LinkShapes, collision_constraint, idle_bodies, link_shapes, pack_obstacles
 from cei_gym.alignment.start.starts import find_basins
 from cei_gym.embodiment import load_embodiment
 from cei_gym.functional import sample_representation
@@ -85,7 +85,7 @@ def test_joint_frames_place_bodies_where_mujoco_does(name: str) -> None:
     data = mujoco.MjData(embodiment.model)
     for seed in range(3):
         u = np.random.default_rng(seed).uniform(*embodiment.independent_limits)
-        keep_out.place_joints(target, u, pose)
+        collision.place_joints(target, u, pose)
         data.qpos[:] = embodiment.coupled.expand(u)
         mujoco.mj_kinematics(embodiment.model, data)
         for body in np.flatnonzero(attachment.joint >= 0):
@@ -250,7 +250,7 @@ def test_the_penaltys_gradient_is_its_finite_difference(seed: int) -> None:
     embodiment = problem.embodiment
     rng = np.random.default_rng(seed)
     target = make_target(problem.representation, problem.tree, all_joints=True)
-    links = keep_out_links(problem, ClearanceOptions(arm_margin_m=0.1, hand_margin_m=0.1, idle_margin_m=0.05))
+    links = collision_constraint(problem, ClearanceOptions(arm_margin_m=0.1, hand_margin_m=0.1, idle_margin_m=0.05))
     links = links._replace(height_m=0.35)
     u = home(problem) + rng.uniform(-0.2, 0.2, len(home(problem)))
     u = np.clip(u, *embodiment.independent_limits)
@@ -261,9 +261,9 @@ def test_the_penaltys_gradient_is_its_finite_difference(seed: int) -> None:
     load_source(*(x[0, :4].copy() for x in reach(1)), memory.source)
 
     def penalty(u: np.ndarray, derivatives: bool = False) -> float:
-        keep_out.place_joints(target, u, memory.pose)
+        collision.place_joints(target, u, memory.pose)
         origin = memory.source.origin
-        return keep_out.penalise(links, obstacles, origin, memory.pose, memory.quadratic, derivatives)
+        return collision.penalise(links, obstacles, origin, memory.pose, memory.quadratic, derivatives)
 
     memory.quadratic.force[:] = 0
     memory.quadratic.block[:] = 0

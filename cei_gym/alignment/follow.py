@@ -10,9 +10,9 @@ import numpy as np
 
 from cei_gym.alignment.contact.refine import GraspRefiner
 from cei_gym.alignment.judge.clearance import OBJECT, Clearance, Penetration
-from cei_gym.alignment.kernels.keep_out import shortfall
+from cei_gym.alignment.kernels.collision import shortfall
 from cei_gym.alignment.kernels.target import make_target
-from cei_gym.alignment.links import keep_out_links, pack_obstacles
+from cei_gym.alignment.links import collision_constraint, pack_obstacles
 from cei_gym.alignment.options import ContactOptions, SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 from cei_gym.alignment.solvers.make import make_solver
@@ -40,7 +40,7 @@ class Follower:
     @cached_property
     def _links(self):
         target = make_target(self.problem.representation, self.problem.tree, all_joints=True)
-        return target, keep_out_links(self.problem, self.options.clearance)
+        return target, collision_constraint(self.problem, self.options.clearance)
 
     def follow(self, motion: Motion, free: Track | None = None) -> Track:
         """See `follow_all`; `free` is the motion followed freely, if it has been."""
@@ -78,10 +78,10 @@ class Follower:
     def shortfall_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
         """(T,) how much clearance the worst link lacks at each of (T, m) configurations, m; 0 where none does."""
         assert motion.surroundings is not None
-        target, keep_out = self._links
-        keep_out = keep_out._replace(height_m=float(motion.surroundings.support_z_base_m))
+        target, collision = self._links
+        collision = collision._replace(height_m=float(motion.surroundings.support_z_base_m))
         obstacles, start = pack_obstacles(motion.surroundings, len(u))
-        return shortfall(target, keep_out, obstacles, start, np.ascontiguousarray(u, float))
+        return shortfall(target, collision, obstacles, start, np.ascontiguousarray(u, float))
 
     def _too_near(self, motion: Motion, track: Track) -> bool:
         if motion.surroundings is None or self.options.clearance.weight <= 0:

@@ -5,7 +5,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from cei_gym.alignment.kernels.keep_out import KeepOut
+from cei_gym.alignment.kernels.collision import CollisionConstraint
 from cei_gym.alignment.options import ClearanceOptions
 from cei_gym.alignment.problem import AlignmentProblem, Surroundings
 from cei_gym.embodiment.embodiment import Embodiment
@@ -68,7 +68,7 @@ def idle_bodies(problem: AlignmentProblem) -> np.ndarray:
     return (joint >= problem.embodiment.n_arm) & ~carries[joint]
 
 
-def keep_out_links(problem: AlignmentProblem, options: ClearanceOptions) -> KeepOut:
+def collision_constraint(problem: AlignmentProblem, options: ClearanceOptions) -> CollisionConstraint:
     """The links for compiled code; the support's height is still to be set."""
     shapes = link_shapes(problem.embodiment)
     joints, attachment = reduce_to_joints(problem.tree.arrays)
@@ -89,7 +89,7 @@ def keep_out_links(problem: AlignmentProblem, options: ClearanceOptions) -> Keep
     centre = np.array([(v.min(axis=0) + v.max(axis=0)) / 2 for v in placed]).reshape(-1, 3)
     radius = np.array([np.linalg.norm(v - c, axis=1).max() for v, c in zip(placed, centre, strict=True)])
     margin = np.where(shapes.hand, options.hand_margin_m, options.arm_margin_m)
-    return KeepOut(
+    return CollisionConstraint(
         weight=float(options.weight),
         height_m=-np.inf,
         body=shapes.body,
@@ -119,8 +119,10 @@ def _axis_base(joints: JointTree) -> np.ndarray:
     return np.einsum("nij,nj->ni", joints.rot, joints.axis)
 
 
-def keep_nothing_out() -> KeepOut:
+def no_collision_constraint() -> CollisionConstraint:
     """No links and no weight: what compiled code gets while nothing is too near."""
     ints, floats, points = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3))
     no_vertices = np.zeros(1, np.int64), points
-    return KeepOut(0.0, -np.inf, ints, ints, floats, *no_vertices, points, points, points, floats, np.zeros(0, bool))
+    return CollisionConstraint(
+        0.0, -np.inf, ints, ints, floats, *no_vertices, points, points, points, floats, np.zeros(0, bool)
+    )

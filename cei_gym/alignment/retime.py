@@ -8,7 +8,7 @@ from cei_gym.alignment.solvers.newton import NewtonSolver
 from cei_gym.alignment.solvers.solver import Solver
 
 
-def pace(
+def retime(
     problem: AlignmentProblem, solver: Solver, options: SolverOptions, motion: Motion, stretch: float
 ) -> tuple[np.ndarray, Track | None]:
     """Which frame of the source each frame of the target shows.

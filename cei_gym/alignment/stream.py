@@ -56,7 +56,7 @@ class Stream:
             self._last = u, last
         return u.copy()
 
-    def go_on_from(self, u: np.ndarray) -> None:
+    def resume_from(self, u: np.ndarray) -> None:
         """Forget the past, but for where the joints are: (m,) rad or m. The next frame is followed from there."""
         self._last = u, u
 

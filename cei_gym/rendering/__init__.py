@@ -2,7 +2,7 @@
 
 from cei_gym.embodiment.colours import geom_colours
 from cei_gym.rendering.camera import DepthCamera
-from cei_gym.rendering.noise import DepthNoise, add_noise, as_noise, believed
+from cei_gym.rendering.noise import DepthNoise, add_noise, as_noise, miscalibrated
 from cei_gym.rendering.pinhole import camera_from_mujoco, look_at, project, unproject
 from cei_gym.rendering.portrait import Portrait, lighter
 from cei_gym.rendering.shading import shade
@@ -14,11 +14,11 @@ __all__ = [
     "Portrait",
     "add_noise",
     "as_noise",
-    "believed",
     "camera_from_mujoco",
     "geom_colours",
     "lighter",
     "look_at",
+    "miscalibrated",
     "project",
     "shade",
     "splat",

@@ -92,7 +92,7 @@ def as_noise(noise: str | Mapping[str, float] | None) -> DepthNoise | None:
     return DepthNoise(**noise)  # pyright: ignore[reportArgumentType]
 
 
-def believed(camera: Camera, noise: DepthNoise) -> Camera:
+def miscalibrated(camera: Camera, noise: DepthNoise) -> Camera:
     """A camera with its calibration's error: turned by `tilt_deg` about its centre, which is off by `shift_m`.
 
     The directions follow from the seed and the camera's name.

@@ -10,7 +10,7 @@ from cei_gym.alignment.judge.reach import Reach
 from cei_gym.alignment.judge.report import AlignmentReport, make_report
 from cei_gym.alignment.options import ContactOptions, SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
-from cei_gym.alignment.retime import pace
+from cei_gym.alignment.retime import retime
 from cei_gym.alignment.start.basins import Basin, choose_modes, judge, judge_basins
 from cei_gym.alignment.start.starts import InitialisationOptions, find_basins
 
@@ -134,7 +134,7 @@ class Following:
         points, normals = motion.points_base[:1], motion.normals_base[:1]
         u0 = self._follower.solver.track(points, normals, basin.u, _FIRST_FRAME_ITERATIONS).u[0]
         motion = replace(motion, u0=u0)
-        frames, free = pace(self._problem, self._follower.solver, self._options, motion, self._stretch)
+        frames, free = retime(self._problem, self._follower.solver, self._options, motion, self._stretch)
         motion = motion.at(frames)
         track = self._follower.follow(motion, free)
         return _FollowedFrom(frames, motion, track, judge(self._follower, [motion], basin.u, [track]))

@@ -12,7 +12,7 @@ from cei_converters.conversion.assumptions import about_cameras, about_columns, 
 from cei_converters.conversion.config import ConvertConfig, check_options
 from cei_converters.conversion.executors import SlurmOptions
 from cei_converters.conversion.fit import check_fit
-from cei_converters.conversion.in_order import in_background
+from cei_converters.conversion.ordered_map import in_background
 from cei_converters.conversion.origin import files_by_content, provenance_of
 from cei_converters.conversion.plan import DATASET
 from cei_converters.conversion.reach import check_reached
@@ -23,7 +23,7 @@ from cei_gym.errors import CEIError
 if TYPE_CHECKING:
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.plan import Plan
-    from cei_converters.conversion.workplace import Workplace
+    from cei_converters.conversion.staging import StagingDirectory
     from cei_converters.dataset.metadata import Provenance
 
 EXAMPLE = """example:
@@ -60,11 +60,11 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.assemble import assemble
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.executors import warm_up
-    from cei_converters.conversion.outcomes import account, residuals
+    from cei_converters.conversion.outcomes import residuals, summarise_conversion
     from cei_converters.conversion.plan import Plan, to_begin_anew
+    from cei_converters.conversion.staging import StagingDirectory
     from cei_converters.conversion.survey import LOWEST, survey
     from cei_converters.conversion.workers import convert_shards, processes_for
-    from cei_converters.conversion.workplace import Workplace
     from cei_converters.conversion.writing import Writing
     from cei_converters.dataset.essentials import Remains
     from cei_converters.dataset.metadata import plain, restore_with
@@ -75,7 +75,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     json = Outputs(config.overwrite, None if config.dry_run else _new_root(config)).file("--json", config.json, JSON)
     with contextlib.ExitStack() as stack:
         root = stack.enter_context(temporary_folder()) / "dry_run" if config.dry_run else _new_root(config)
-        place = stack.enter_context(Workplace(root, config.resume))
+        place = stack.enter_context(StagingDirectory(root, config.resume))
         writes = not config.dry_run and config.executor != "slurm"
         writing = stack.enter_context(Writing()) if writes else None
         begun = Plan.load(place.plan) if place.plan.exists() else None
@@ -116,7 +116,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             writing.begin(place.root, **plain({"environment": converter.environment, "tasks": reader.tasks, **passed}))
         convert_shards(place, plan, converter, workers, lambda done: progress.update(task, completed=done))
         progress.stop()
-        told = account(place, plan, f"{reader.embodiment.name} -> {config.target}")
+        summary = summarise_conversion(place, plan, f"{reader.embodiment.name} -> {config.target}")
         result = {
             "source": {"repo_id": reader.repo_id, "embodiment": reader.embodiment.name},
             "target": config.target,
@@ -129,19 +129,19 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "dropped_features": reader.dropped,
             "table": {"z_m": reader.scene.support_z_m, "said_by": reader.table_from},
             "notes": notes_on_robots(converter),
-            "episodes": len(told.entries),
-            "frames": sum(entry["frames"] for entry in told.entries),
-            "results": told.entries,
-            **told.choices,
+            "episodes": len(summary.entries),
+            "frames": sum(entry["frames"] for entry in summary.entries),
+            "results": summary.entries,
+            **summary.choices,
         }
         if writing is not None:
-            assemble(place, plan, converter, told, writing)
+            assemble(place, plan, converter, summary, writing)
         write_json(json, result, residuals=residuals(place, plan))
     if config.dry_run:
         if not config.allow_unreachable:
-            check_reached(config.target, told.entries)
+            check_reached(config.target, summary.entries)
         return result
-    print(f"Wrote {len(told.entries)} episodes to {place.root}.")
+    print(f"Wrote {len(summary.entries)} episodes to {place.root}.")
     _upload(config, place.root)
     return result
 
@@ -196,7 +196,7 @@ def _check_unchanged(begun: "Provenance", config: ConvertConfig, anew: str) -> s
 
 def _planned(
     config: ConvertConfig,
-    place: "Workplace",
+    place: "StagingDirectory",
     begun: "Plan | None",
     converter: "Converter",
     frames: list[int],
@@ -229,7 +229,7 @@ def _planned(
     return plan
 
 
-def _submitted(config: ConvertConfig, place: "Workplace", missing: list[int]) -> dict[str, Any]:
+def _submitted(config: ConvertConfig, place: "StagingDirectory", missing: list[int]) -> dict[str, Any]:
     """Leave the rest to Slurm."""
     from cei_converters.conversion.executors import submit_slurm
     from cei_converters.conversion.workers import ShardTask
@@ -266,9 +266,9 @@ class _Rest:
 
     def __call__(self, data: object = None, rank: int = 0, world_size: int = 1) -> None:
         from cei_converters.conversion.plan import Plan
-        from cei_converters.conversion.workplace import Workplace
+        from cei_converters.conversion.staging import StagingDirectory
 
-        place = Workplace(Path(self.root), resume=True)
+        place = StagingDirectory(Path(self.root), resume=True)
         plan = Plan.load(place.plan)
         place.check_complete(len(plan.shards))
         here = {"executor": "local", "slurm": SlurmOptions(), "workers": 1, "resume": True}

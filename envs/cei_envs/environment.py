@@ -20,7 +20,7 @@ from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.errors import CEIError, one_line
 from cei_gym.pointcloud import crop, farthest_point_sample, fuse_depth
-from cei_gym.rendering import DepthCamera, add_noise, as_noise, believed, geom_colours, shade
+from cei_gym.rendering import DepthCamera, add_noise, as_noise, geom_colours, miscalibrated, shade
 from cei_gym.untrusted import finite_row
 
 CLOUD_POINTS = 1024
@@ -106,7 +106,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         self._max_hold_ticks = max_hold_ticks
         placed = make_cameras(cameras, image_width, image_height)
         self._noise = as_noise(depth_noise)
-        calibrated = placed if self._noise is None else tuple(believed(camera, self._noise) for camera in placed)
+        calibrated = placed if self._noise is None else tuple(miscalibrated(camera, self._noise) for camera in placed)
         self.simulation = Simulation(self.embodiment, self.make_robosuite, stock_physics)
         """What it runs: model, joints, contacts, for a task to ask."""
         self.scene = Scene(self.simulation.T_world_base, calibrated, self.workspace_world())

@@ -16,7 +16,7 @@ from cei_gym.alignment.kernels import grasp as kernels
 from cei_gym.alignment.kernels.contact import Grasp, in_grip
 from cei_gym.alignment.kernels.distance import distances
 from cei_gym.alignment.kernels.target import make_target
-from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
+from cei_gym.alignment.links import collision_constraint, no_collision_constraint, pack_obstacles
 from cei_gym.alignment.options import ContactOptions, SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
 from cei_gym.kinematics.joints import reduce_to_joints
@@ -111,8 +111,8 @@ class GraspRefiner:
             tolerance=_TOLERANCE_M,
         )
         if self._options.clearance.weight <= 0:
-            return target, grasp, keep_nothing_out(), keep_nothing_out()
-        links = keep_out_links(problem, self._options.clearance)
+            return target, grasp, no_collision_constraint(), no_collision_constraint()
+        links = collision_constraint(problem, self._options.clearance)
         # Here clearance competes with contact points, which weigh as much: what touches too early loses the object.
         links = links._replace(weight=_CLEARANCE_FIRST * links.weight)
         touches = np.isin(links.joint, grasp.joint)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cei_gym.alignment.kernels.collision import CollisionConstraint, penalise
 from cei_gym.alignment.kernels.distance import place_joints
-from cei_gym.alignment.kernels.keep_out import KeepOut, penalise
 from cei_gym.alignment.kernels.quadratic import add_contact
 from cei_gym.compiled import njit
 
@@ -83,8 +83,8 @@ class GraspTarget(NamedTuple):
 class Links(NamedTuple):
     """Links that keep clear of points: `away` of those in `around`, `pads` of those `elsewhere` than in the grip."""
 
-    away: KeepOut
-    pads: KeepOut
+    away: CollisionConstraint
+    pads: CollisionConstraint
     around: np.ndarray
     elsewhere: np.ndarray
 

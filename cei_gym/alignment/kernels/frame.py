@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cei_gym.alignment.kernels.collision import penalise
 from cei_gym.alignment.kernels.distance import evaluate
-from cei_gym.alignment.kernels.keep_out import penalise
 from cei_gym.alignment.kernels.quadratic import Quadratic, add_distance, empty_quadratic, project
 from cei_gym.alignment.kernels.step import DAMPING, STIFFENED, StepMemory, eased, empty_step, take_step
 from cei_gym.alignment.kernels.target import Pose, Source, empty_pose, empty_source, load_source
@@ -67,17 +67,17 @@ def _near(u, anchor, weight):
 
 
 @njit(cache=True, nogil=True)
-def _objective(target, source, settings, keep_out, obstacles, weight, anchor, u, pose, quadratic):
+def _objective(target, source, settings, collision, obstacles, weight, anchor, u, pose, quadratic):
     """DCD, and with it what the other terms add, at u."""
     dcd = evaluate(target, source, settings.lambda_m, u, pose)
     extra = _near(u, anchor, weight)
-    if keep_out.weight > 0.0:
-        extra += penalise(keep_out, obstacles, source.origin, pose, quadratic, False)
+    if collision.weight > 0.0:
+        extra += penalise(collision, obstacles, source.origin, pose, quadratic, False)
     return dcd, dcd + extra
 
 
 @njit(cache=True, nogil=True)
-def solve_frame(target, points, normals, settings, keep_out, obstacles, dt_s, last, before, memory, u):
+def solve_frame(target, points, normals, settings, collision, obstacles, dt_s, last, before, memory, u):
     """Solve one frame into u (m,), which holds a start inside the limits.
 
     Args:
@@ -102,13 +102,13 @@ def solve_frame(target, points, normals, settings, keep_out, obstacles, dt_s, la
             if dt_s > 0.0:
                 lower[k] = max(lower[k], last[k] - target.fastest[k] * dt_s)
                 upper[k] = min(upper[k], last[k] + target.fastest[k] * dt_s)
-    dcd, objective = _objective(target, source, settings, keep_out, obstacles, weight, anchor, u, pose, quadratic)
+    dcd, objective = _objective(target, source, settings, collision, obstacles, weight, anchor, u, pose, quadratic)
     if dt_s >= 0.0:
         # Motion goes on: start from its continuation where that is better.
         for k in range(len(u)):
             new[k] = min(max(2.0 * last[k] - before[k], lower[k]), upper[k])
         dcd_new, objective_new = _objective(
-            target, source, settings, keep_out, obstacles, weight, anchor, new, trial, quadratic
+            target, source, settings, collision, obstacles, weight, anchor, new, trial, quadratic
         )
         if objective_new < objective:
             u[:] = new
@@ -118,8 +118,8 @@ def solve_frame(target, points, normals, settings, keep_out, obstacles, dt_s, la
     while spent < settings.iterations and flat < 2:
         spent += 1
         add_distance(target, source, settings.lambda_m, pose, quadratic)
-        if keep_out.weight > 0.0:
-            penalise(keep_out, obstacles, source.origin, pose, quadratic, True)
+        if collision.weight > 0.0:
+            penalise(collision, obstacles, source.origin, pose, quadratic, True)
         project(target, source.origin, pose, quadratic)
         gradient, hessian = quadratic.gradient, quadratic.hessian
         for k in range(len(u)):
@@ -131,7 +131,7 @@ def solve_frame(target, points, normals, settings, keep_out, obstacles, dt_s, la
             if 0.0 <= fall < settings.tolerance:
                 break
             dcd_new, objective_new = _objective(
-                target, source, settings, keep_out, obstacles, weight, anchor, new, trial, quadratic
+                target, source, settings, collision, obstacles, weight, anchor, new, trial, quadratic
             )
             if objective_new < objective:
                 flat = flat + 1 if objective - objective_new < settings.tolerance else 0

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cei_gym.alignment.kernels.collision import nearest
 from cei_gym.alignment.kernels.contact import GraspTarget, Links, contact_points, grasp_energy
 from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.frame import empty_memory
-from cei_gym.alignment.kernels.keep_out import nearest
 from cei_gym.alignment.kernels.quadratic import project
 from cei_gym.alignment.kernels.step import DAMPING, STIFFENED, eased, take_step
 from cei_gym.alignment.kernels.target import empty_pose

@@ -15,7 +15,7 @@ from cei_gym.alignment.kernels.distance import evaluate
 from cei_gym.alignment.kernels.frame import Settings, empty_memory, solve_frame
 from cei_gym.alignment.kernels.quadratic import add_distance, project
 from cei_gym.alignment.kernels.target import load_source, make_target
-from cei_gym.alignment.links import keep_nothing_out, keep_out_links, pack_obstacles
+from cei_gym.alignment.links import collision_constraint, no_collision_constraint, pack_obstacles
 from cei_gym.alignment.options import SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
 from cei_gym.alignment.solvers.solver import SecondOrderSolver
@@ -25,7 +25,7 @@ _FULL_SPEED = 0.999
 
 
 @njit(cache=True, nogil=True)
-def _track(target, points, normals, settings, keep_out, obstacles, obstacle_start, dt_s, u0, room):
+def _track(target, points, normals, settings, collision, obstacles, obstacle_start, dt_s, u0, room):
     """Joints, DCDs and iterations of each frame, and which of the source's it shows; `room` is for those shown again."""
     most, m = len(points) + room, len(u0)
     us, dcds, spent, shown = np.empty((most, m)), np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
@@ -41,7 +41,7 @@ def _track(target, points, normals, settings, keep_out, obstacles, obstacle_star
             points[source],
             normals[source],
             settings,
-            keep_out,
+            collision,
             around,
             dt_s if frames else -1.0,
             last,
@@ -65,22 +65,22 @@ def _track(target, points, normals, settings, keep_out, obstacles, obstacle_star
 
 
 @njit(cache=True, nogil=True)
-def _solve_starts(target, points, normals, settings, keep_out, starts):
+def _solve_starts(target, points, normals, settings, collision, starts):
     us, dcds = np.empty_like(starts), np.empty(len(starts))
     memory = empty_memory(target, len(points))
     nothing = np.empty((0, 3))
     for i in range(len(starts)):
         u = np.minimum(np.maximum(starts[i], target.lower), target.upper)
-        dcds[i], _ = solve_frame(target, points, normals, settings, keep_out, nothing, -1.0, u, u, memory, u)
+        dcds[i], _ = solve_frame(target, points, normals, settings, collision, nothing, -1.0, u, u, memory, u)
         us[i] = u
     return us, dcds
 
 
 @njit(cache=True, nogil=True)
-def _advance(target, points, normals, settings, keep_out, dt_s, last, before):
+def _advance(target, points, normals, settings, collision, dt_s, last, before):
     u = np.minimum(np.maximum(last, target.lower), target.upper)
     memory = empty_memory(target, len(points))
-    solve_frame(target, points, normals, settings, keep_out, np.empty((0, 3)), dt_s, last, before, memory, u)
+    solve_frame(target, points, normals, settings, collision, np.empty((0, 3)), dt_s, last, before, memory, u)
     return u
 
 
@@ -90,7 +90,7 @@ class NewtonSolver(SecondOrderSolver):
     def __init__(self, problem: AlignmentProblem, options: SolverOptions) -> None:
         self.options, self._problem = options, problem
         self._target = make_target(problem.representation, problem.tree)
-        self._free = self._target, keep_nothing_out()
+        self._free = self._target, no_collision_constraint()
         self._settings = Settings(
             float(options.lambda_m),
             float(options.temporal_weight),
@@ -103,7 +103,7 @@ class NewtonSolver(SecondOrderSolver):
     def _guarded(self):
         """The target with all its joints (idle fingers move out of the way, too), and its links."""
         whole = make_target(self._problem.representation, self._problem.tree, all_joints=True)
-        return whole, keep_out_links(self._problem, self.options.clearance)
+        return whole, collision_constraint(self._problem, self.options.clearance)
 
     def track(
         self,
@@ -131,10 +131,10 @@ class NewtonSolver(SecondOrderSolver):
 
     def _track(self, motion: Motion, room: int = 0) -> tuple[np.ndarray, Track]:
         iterations, surroundings = motion.iterations, motion.surroundings
-        target, keep_out = self._free
+        target, collision = self._free
         if surroundings is not None:
-            target, keep_out = self._guarded
-            keep_out = keep_out._replace(height_m=float(surroundings.support_z_base_m))
+            target, collision = self._guarded
+            collision = collision._replace(height_m=float(surroundings.support_z_base_m))
         obstacles, obstacle_start = pack_obstacles(surroundings, len(motion.points_base))
         settings = self._settings if iterations is None else self._settings._replace(iterations=iterations)
         u, objective, spent, shown = _track(
@@ -142,7 +142,7 @@ class NewtonSolver(SecondOrderSolver):
             np.ascontiguousarray(motion.points_base, float),
             np.ascontiguousarray(motion.normals_base, float),
             settings,
-            keep_out,
+            collision,
             obstacles,
             obstacle_start,
             (motion.dt_s or 0.0) * self.options.velocity_scale,
@@ -158,13 +158,13 @@ class NewtonSolver(SecondOrderSolver):
 
     def advance(self, points_base, normals_base, last, before, dt_s: float | None = None) -> np.ndarray:
         """One more frame, (N, 3) each, after the last two solutions (m,); the new one."""
-        target, keep_out = self._free
+        target, collision = self._free
         return _advance(
             target,
             np.ascontiguousarray(points_base, float),
             np.ascontiguousarray(normals_base, float),
             self._settings,
-            keep_out,
+            collision,
             (dt_s or 0.0) * self.options.velocity_scale,
             last,
             before,

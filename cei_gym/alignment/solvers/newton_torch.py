@@ -16,7 +16,7 @@ from torch import Tensor
 from cei_gym.alignment.kernels.frame import DAMPING_TRIES
 from cei_gym.alignment.kernels.step import DAMPING, EASED, LARGEST_STEP, LEAST_DAMPING, STIFFENED
 from cei_gym.alignment.kernels.target import make_target
-from cei_gym.alignment.links import keep_out_links
+from cei_gym.alignment.links import collision_constraint
 from cei_gym.alignment.options import SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
 from cei_gym.alignment.solvers.device import choose_device, widest_real
@@ -81,9 +81,9 @@ class TorchNewtonSolver(SecondOrderSolver):
 
     def _model(self, guarded: bool) -> TorchModel:
         target = make_target(self._problem.representation, self._problem.tree, all_joints=guarded)
-        keep_out = keep_out_links(self._problem, self.options.clearance) if guarded else None
+        collision = collision_constraint(self._problem, self.options.clearance) if guarded else None
         dtype = widest_real(self._device)
-        return TorchModel(target, keep_out, float(self.options.lambda_m), self._device, dtype)
+        return TorchModel(target, collision, float(self.options.lambda_m), self._device, dtype)
 
     @cached_property
     def _guarded(self) -> TorchModel:

@@ -1,6 +1,6 @@
 """The objective of many configurations at once in torch: the DCD, its majoriser's derivatives, clearance.
 
-The arithmetic of `kernels.distance`, `kernels.quadratic` and `kernels.keep_out` as few wide operations: B problems at once,
+The arithmetic of `kernels.distance`, `kernels.quadratic` and `kernels.collision` as few wide operations: B problems at once,
 each a configuration against one frame of a source.
 """
 
@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cei_gym.alignment.kernels.keep_out import KeepOut
+from cei_gym.alignment.kernels.collision import CollisionConstraint
 from cei_gym.alignment.kernels.target import Target
 from cei_gym.alignment.problem import Motion
 from cei_gym.alignment.solvers.torch_records import BatchPose, Sources
@@ -27,13 +27,18 @@ class TorchModel:
 
     Args:
         target: its arrays.
-        keep_out: links that stay clear of surroundings; without, none do.
+        collision: links that stay clear of surroundings; without, none do.
         lambda_m: weight of direction, m.
         device, dtype: of the computation.
     """
 
     def __init__(
-        self, target: Target, keep_out: KeepOut | None, lambda_m: float, device: torch.device, dtype: torch.dtype
+        self,
+        target: Target,
+        collision: CollisionConstraint | None,
+        lambda_m: float,
+        device: torch.device,
+        dtype: torch.dtype,
     ) -> None:
         self.device, self.dtype, self._lambda = device, dtype, lambda_m
         real, whole = self.tensor, self._whole
@@ -49,7 +54,7 @@ class TorchModel:
         self._moves = real(carried[target.pad_joint])
         carriers, which = np.unique(target.pad_joint, return_inverse=True)
         self._carriers, self._pads = whole(carriers % (n + 1)), real(placing(target.pads, which, len(carriers)))
-        self._links = None if keep_out is None or keep_out.weight <= 0 else _Links(self, keep_out, carried)
+        self._links = None if collision is None or collision.weight <= 0 else _Links(self, collision, carried)
 
     def tensor(self, x) -> Tensor:
         """An array of reals on the device."""
@@ -163,21 +168,21 @@ class TorchModel:
 
 
 class _Links:
-    """Links as convex shapes on a device: see `kernels.keep_out`. Contacts are K with the surface, then I with objects."""
+    """Links as convex shapes on a device: see `kernels.collision`. Contacts are K with the surface, then I with objects."""
 
-    def __init__(self, model: TorchModel, keep_out: KeepOut, carried: np.ndarray) -> None:
-        self.weight = keep_out.weight
-        idle = np.flatnonzero(keep_out.idle)
-        joint = torch.as_tensor(keep_out.joint, device=model.device)
+    def __init__(self, model: TorchModel, collision: CollisionConstraint, carried: np.ndarray) -> None:
+        self.weight = collision.weight
+        idle = np.flatnonzero(collision.idle)
+        joint = torch.as_tensor(collision.joint, device=model.device)
         self._joint, self._idle_joint = joint, joint[torch.as_tensor(idle, device=model.device)]
-        margin = keep_out.margin_m
+        margin = collision.margin_m
         self._margin, self._idle_margin = model.tensor(margin), model.tensor(margin[idle])
-        self.moves = model.tensor(carried[np.concatenate([keep_out.joint, keep_out.joint[idle]])])
+        self.moves = model.tensor(carried[np.concatenate([collision.joint, collision.joint[idle]])])
         # Links have as many vertices as the richest one: the last counts several times.
-        count = np.diff(keep_out.start)
-        which = keep_out.start[:-1, None] + np.minimum(np.arange(count.max(initial=1)), count[:, None] - 1)
-        self._vertices = model.tensor(keep_out.vertices[which])
-        self._directions, self._reach = model.tensor(keep_out.directions), model.tensor(keep_out.reach[idle])
+        count = np.diff(collision.start)
+        which = collision.start[:-1, None] + np.minimum(np.arange(count.max(initial=1)), count[:, None] - 1)
+        self._vertices = model.tensor(collision.vertices[which])
+        self._directions, self._reach = model.tensor(collision.directions), model.tensor(collision.reach[idle])
 
     def contacts(self, frames: Tensor, height: Tensor, obstacles: Tensor) -> tuple[Tensor, Tensor]:
         """(B, C) lacking clearance, m, and (B, C, 6) wrenches; see `BatchPose`."""

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from cei_converters.conversion.converter import Converter
 from cei_converters.conversion.episode import Outcome
-from cei_converters.conversion.outcomes import Account, outcomes
+from cei_converters.conversion.outcomes import Summary, outcomes
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.shard import Shard
-from cei_converters.conversion.workplace import Workplace
+from cei_converters.conversion.staging import StagingDirectory
 from cei_converters.conversion.writing import Writing
 from cei_converters.dataset.license import copy_license_files
 from cei_converters.dataset.metadata import PICTURE_PATH, START, Environment, Metadata, Provenance, plain
@@ -19,14 +19,14 @@ from cei_converters.dataset.writer import publish_dataset
 from cei_gym.transfer import Transfer
 
 
-def assemble(place: Workplace, plan: Plan, converter: Converter, told: Account, writing: Writing) -> None:
+def assemble(place: StagingDirectory, plan: Plan, converter: Converter, summary: Summary, writing: Writing) -> None:
     """Complete the dataset, and move it to where it is wanted.
 
     Args:
         place: with all shards.
         plan: of the conversion.
         converter: fitted.
-        told: what became of the episodes.
+        summary: what became of the episodes.
         writing: of its files, which has begun.
 
     Raises:
@@ -46,20 +46,20 @@ def assemble(place: Workplace, plan: Plan, converter: Converter, told: Account, 
         scene=header.scene,
         environment=_with_start(converter.environment, outcomes(place, plan)),
         clouds=plain(plan.config.clouds),
-        total_episodes=len(told.entries),
-        provenance=_with_choices(plan.provenance, converter.transfer, told),
+        total_episodes=len(summary.entries),
+        provenance=_with_choices(plan.provenance, converter.transfer, summary),
     )
     publish_dataset(written, place.root, str(plan.config.new_repo_id), metadata)
 
 
-def _with_choices(provenance: Provenance, transfer: Transfer, told: Account) -> Provenance:
+def _with_choices(provenance: Provenance, transfer: Transfer, summary: Summary) -> Provenance:
     """Provenance with what was decided on the way: where trajectories start, on which pads, which episodes are dropped."""
     pads = {e.name: plain(e.end_effector.pads) for e in (transfer.source, transfer.target) if e.end_effector}
     options = provenance.options | {"basins": plain(transfer.basins)}
-    if told.verified is not None:
-        options["verify"] = options["verify"] | {"dropped": told.verified["dropped"]}
-    if told.judged is not None:
-        options["gate"] = told.judged
+    if summary.verified is not None:
+        options["verify"] = options["verify"] | {"dropped": summary.verified["dropped"]}
+    if summary.judged is not None:
+        options["gate"] = summary.judged
     return replace(provenance, pads=pads, options=options)
 
 

@@ -9,7 +9,7 @@ from cei_converters.conversion.agreement import check_clouds
 from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.conversion.episode import Converted
-from cei_converters.conversion.in_order import in_background, in_order
+from cei_converters.conversion.ordered_map import in_background, ordered_map
 from cei_converters.conversion.steps import Encode, Judge, OnRecorded, OnRetargeted, Read, Retarget, make_steps
 from cei_converters.conversion.verify import Verifier, open_stage
 from cei_converters.dataset import schema
@@ -128,7 +128,7 @@ class Converter:
             CEIError: an episode cannot be read, or the target cannot reach it.
         """
         with one_thread():
-            yield from in_order(self._convert, positions, 1 if self._verified else threads)
+            yield from ordered_map(self._convert, positions, 1 if self._verified else threads)
 
     def _convert(self, position: int) -> Converted:
         return self._encode(self._judge(self._retarget(self._read(position))))

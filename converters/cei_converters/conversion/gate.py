@@ -42,7 +42,7 @@ class Gate:
         """Those that are given, by the name of their option."""
         return {name: bound for name, bound in vars(self).items() if bound is not None}
 
-    def fate(self, score: float) -> str:
+    def decision(self, score: float) -> str:
         """What becomes of an episode: KEPT, FLAGGED or DROPPED."""
         if self.min_quality is not None and score < self.min_quality:
             return DROPPED
@@ -57,8 +57,10 @@ class Gate:
         Raises:
             CEIError: all are dropped.
         """
-        fates = [(entry["episode"], self.fate(entry["quality"])) for entry in entries]
-        found = {fate: [episode for episode, its in fates if its == fate] for fate in (DROPPED, FLAGGED)}
+        decisions = [(entry["episode"], self.decision(entry["quality"])) for entry in entries]
+        found = {
+            decision: [episode for episode, its in decisions if its == decision] for decision in (DROPPED, FLAGGED)
+        }
         if entries and len(found[DROPPED]) == len(entries):
             best = max(entry["quality"] for entry in entries)
             raise CEIError(
@@ -70,7 +72,7 @@ class Gate:
 
 def in_words(judged: dict[str, list[int]]) -> str:
     """`Gate.judge` in one line."""
-    return ", ".join(f"{fate} {_listed(episodes)}" for fate, episodes in judged.items())
+    return ", ".join(f"{decision} {_listed(episodes)}" for decision, episodes in judged.items())
 
 
 def _listed(episodes: Sequence[int]) -> str:

@@ -13,27 +13,27 @@ from cei_converters.conversion.gate import LOW_QUALITY, in_words
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.reach import spans
 from cei_converters.conversion.shard import Shard
+from cei_converters.conversion.staging import StagingDirectory
 from cei_converters.conversion.verify import check_kept, sentence, summarise
-from cei_converters.conversion.workplace import Workplace
 
 # a table of more rows is nobody's to read
 _ROWS, _WORST = 50, 20
 _BECAUSE, _PENETRATES = "unreachable_because", "penetrates"
 
 
-def outcomes(place: Workplace, plan: Plan) -> Iterator[Outcome]:
+def outcomes(place: StagingDirectory, plan: Plan) -> Iterator[Outcome]:
     """What became of each episode, in order."""
     for shard in range(len(plan.shards)):
         yield from Shard(place.shard(shard)).outcomes
 
 
-def residuals(place: Workplace, plan: Plan) -> Iterator[dict[str, Any]]:
+def residuals(place: StagingDirectory, plan: Plan) -> Iterator[dict[str, Any]]:
     """Of each episode that is kept, in order: `episode`, and how far pads are apart frame by frame."""
     return (outcome.residuals for outcome in outcomes(place, plan) if not outcome.left_out)
 
 
 @dataclass(frozen=True)
-class Account:
+class Summary:
     """Of all episodes.
 
     Attributes:
@@ -55,7 +55,7 @@ class Account:
         return {name: value for name, value in found.items() if value is not None}
 
 
-def account(place: Workplace, plan: Plan, title: str) -> Account:
+def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Summary:
     """Print a table of the episodes' quality, and a sentence on each thing that leaves some out.
 
     Args:
@@ -93,7 +93,7 @@ def account(place: Workplace, plan: Plan, title: str) -> Account:
         augmented = count(left_out)
         print(f"Augmentation: {counted(augmented)}.")
         check_left(augmented)
-    return Account(entries, verified, judged, augmented)
+    return Summary(entries, verified, judged, augmented)
 
 
 def _print_rows(rows: list[dict[str, Any]], title: str) -> None:

@@ -33,12 +33,12 @@ def write_summary(path: Path, outcomes: Iterable[Outcome], gate: Gate, converter
         gate: what became of which.
         converter: that converted them.
     """
-    measured, fates = [], []
+    measured, decisions = [], []
     worst: list[tuple[float, int, Outcome]] = []  # score, position, outcome
     for position, outcome in enumerate(outcomes):
         quality = outcome.record["quality"]
         measured.append((quality["score"], *quality["parts"].values()))
-        fates.append(_fate(outcome, gate))
+        decisions.append(_fate(outcome, gate))
         worst = sorted([*worst, (quality["score"], position, outcome)], key=lambda each: each[:2])[:_WORST]
     names, values = list(worst[0][2].record["quality"]["parts"]), np.array(measured)
     pictures = _portraits([outcome.worst for _, _, outcome in worst], converter)
@@ -46,15 +46,15 @@ def write_summary(path: Path, outcomes: Iterable[Outcome], gate: Gate, converter
         figure = Figure(figsize=(15, 8.7), dpi=_DPI, layout="constrained")
         above, below = figure.subfigures(2, 1, height_ratios=(1, 1.9), squeeze=False)[:, 0]
         histogram, parts = above.subplots(1, 2)
-        _draw_scores(histogram, values[:, 0], fates, gate)
-        _draw_parts(parts, names, values[:, 1:], fates)
+        _draw_scores(histogram, values[:, 0], decisions, gate)
+        _draw_parts(parts, names, values[:, 1:], decisions)
         below.suptitle(
             "The worst episodes (numbered as in the source), each where it is worst; red its pads, blue the source's",
             fontsize=12,
         )
         columns = below.subplots(1, _WORST)
         for axes, (_, position, outcome), picture in zip(columns, worst, pictures, strict=False):
-            _draw_worst(axes, outcome, fates[position], picture)
+            _draw_worst(axes, outcome, decisions[position], picture)
         for axes in columns[len(worst) :]:
             axes.set_axis_off()
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -62,17 +62,17 @@ def write_summary(path: Path, outcomes: Iterable[Outcome], gate: Gate, converter
 
 
 def _fate(outcome: Outcome, gate: Gate) -> str:
-    return DROPPED if outcome.left_out else gate.fate(outcome.record["quality"]["score"])
+    return DROPPED if outcome.left_out else gate.decision(outcome.record["quality"]["score"])
 
 
-def _draw_scores(axes: Axes, scores: np.ndarray, fates: Sequence[str], gate: Gate) -> None:
-    shown = [fate for fate in _COLOURS if fate in fates]
+def _draw_scores(axes: Axes, scores: np.ndarray, decisions: Sequence[str], gate: Gate) -> None:
+    shown = [decision for decision in _COLOURS if decision in decisions]
     axes.hist(
-        [scores[np.array(fates) == fate] for fate in shown],
+        [scores[np.array(decisions) == decision] for decision in shown],
         _BINS,
         stacked=True,
-        color=[_COLOURS[fate] for fate in shown],
-        label=[f"{fate}: {fates.count(fate)}" for fate in shown],
+        color=[_COLOURS[decision] for decision in shown],
+        label=[f"{decision}: {decisions.count(decision)}" for decision in shown],
     )
     for style, (name, bound) in zip(("-", "--"), gate.bounds.items(), strict=False):
         axes.axvline(bound, color="0.3", ls=style, lw=1, label=f"--{name}={bound:g}")
@@ -83,10 +83,10 @@ def _draw_scores(axes: Axes, scores: np.ndarray, fates: Sequence[str], gate: Gat
     axes.legend(loc="upper center", ncols=5, fontsize=8)
 
 
-def _draw_parts(axes: Axes, names: Sequence[str], parts: np.ndarray, fates: Sequence[str]) -> None:
+def _draw_parts(axes: Axes, names: Sequence[str], parts: np.ndarray, decisions: Sequence[str]) -> None:
     """A dot an episode and part, (episodes, parts), spread a little in the order of the episodes."""
     spread = np.linspace(-0.3, 0.3, len(parts)) if len(parts) > 1 else np.zeros(1)
-    colours = [_COLOURS[fate] for fate in fates]
+    colours = [_COLOURS[decision] for decision in decisions]
     for row in range(len(names)):
         axes.scatter(parts[:, row], row + spread, s=12, c=colours, alpha=0.7)
     axes.set(xlim=(0, 1.02), yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.5, -0.5))
@@ -94,13 +94,15 @@ def _draw_parts(axes: Axes, names: Sequence[str], parts: np.ndarray, fates: Sequ
     axes.grid(axis="x", alpha=0.3)
 
 
-def _draw_worst(axes: Axes, outcome: Outcome, fate: str, picture: np.ndarray) -> None:
+def _draw_worst(axes: Axes, outcome: Outcome, decision: str, picture: np.ndarray) -> None:
     entry, frame = outcome.entry, outcome.worst.frame
     axes.imshow(picture)
     axes.set(xticks=[], yticks=[])
     title = f"episode {entry['episode']}: {entry['quality']:.2f}\n{entry['weakest']}, frame {frame}"
     axes.set_title(
-        title if fate == KEPT else f"{title}, {fate}", fontsize=11, color="k" if fate == KEPT else _COLOURS[fate]
+        title if decision == KEPT else f"{title}, {decision}",
+        fontsize=11,
+        color="k" if decision == KEPT else _COLOURS[decision],
     )
 
 

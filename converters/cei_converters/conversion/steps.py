@@ -159,7 +159,7 @@ class Judge:
 
     def __call__(self, made: Retargeted) -> Judged:
         quality = assess(made.report)
-        decision = self.gate.fate(quality.score)
+        decision = self.gate.decision(quality.score)
         return Judged(made, quality, decision == FLAGGED, self._left_out(made, decision))
 
     def _left_out(self, made: Retargeted, decision: str) -> str:

@@ -16,7 +16,7 @@ from cei_converters.conversion.converter import Converter
 from cei_converters.conversion.executors import quiet, run_local, run_ray
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.shard import ShardWriter, frames_done, unfinished
-from cei_converters.conversion.workplace import Workplace
+from cei_converters.conversion.staging import StagingDirectory
 from cei_gym.errors import CEIError
 
 _LOOK_S = 0.5
@@ -24,7 +24,7 @@ _THREADS = 2
 
 
 def convert_shards(
-    place: Workplace, plan: Plan, converter: Converter, workers: int, done: Callable[[int], None]
+    place: StagingDirectory, plan: Plan, converter: Converter, workers: int, done: Callable[[int], None]
 ) -> None:
     """Convert the shards that are not there yet, in processes of two threads each; in this one where that is enough.
 
@@ -58,7 +58,7 @@ def processes_for(workers: int, shards: int) -> int:
     return min(-(-workers // _THREADS), shards)
 
 
-def convert_shard(converter: Converter, plan: Plan, place: Workplace, shard: int, threads: int) -> None:
+def convert_shard(converter: Converter, plan: Plan, place: StagingDirectory, shard: int, threads: int) -> None:
     """Convert one shard and put it in its place."""
     with ShardWriter(place.shard(shard)) as writer:
         for converted in converter.convert(plan.shards[shard], threads):
@@ -78,11 +78,11 @@ class ShardTask:
         self.__dict__.update(state)
 
     def __call__(self, data: object = None, rank: int = 0, world_size: int = 1) -> None:
-        """Convert the shard of this rank; what is wrong with an episode is left in the workplace, too."""
+        """Convert the shard of this rank; what is wrong with an episode is left in the staging_directory, too."""
         with contextlib.suppress(ValueError):  # no main thread
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's business
         quiet_libraries()
-        place = Workplace(Path(self.root), resume=True)
+        place = StagingDirectory(Path(self.root), resume=True)
         converter, plan = _opened(place.plan)
         try:
             convert_shard(converter, plan, place, self.shards[rank], self.threads)
@@ -105,7 +105,7 @@ class _WorkerLost(BaseException):
 
 
 @contextlib.contextmanager
-def _watching(place: Workplace, plan: Plan, done: Callable[[int], None], mortal: bool) -> Iterator[None]:
+def _watching(place: StagingDirectory, plan: Plan, done: Callable[[int], None], mortal: bool) -> Iterator[None]:
     """Report progress meanwhile, and stop where a worker dies, if they are `mortal`: a local pool would wait for it forever. Those of
     a cluster are looked after by it, and their process ids say nothing here."""
     over = threading.Event()

@@ -21,7 +21,7 @@ from cei_gym.errors import CEIError
 if TYPE_CHECKING:
     from cei_converters.conversion.config import ConvertConfig
     from cei_converters.conversion.episode import Converted
-    from cei_converters.conversion.workplace import Workplace
+    from cei_converters.conversion.staging import StagingDirectory
     from cei_converters.sources.source import Source
 
 _LOOK_S = 0.02
@@ -132,13 +132,13 @@ def write(
     import numpy as np
 
     from cei_converters.conversion.plan import Plan
-    from cei_converters.conversion.workplace import Workplace
+    from cei_converters.conversion.staging import StagingDirectory
     from cei_converters.dataset.cameras import Pictures
     from cei_converters.dataset.carried import Carried
     from cei_converters.dataset.metadata import Environment, plain
     from cei_converters.dataset.writer import DatasetWriter
 
-    place = Workplace(root, resume=True)
+    place = StagingDirectory(root, resume=True)
     plan = Plan.load(place.plan)
     config = plan.config
     reader = _reader(config) if cameras or carries else None
@@ -180,7 +180,7 @@ def _reader(config: "ConvertConfig") -> "Source":
     return open_reader(config)
 
 
-def _converted(place: "Workplace", shards: int, go_on: Callable[[float], None]) -> Iterator["Converted"]:
+def _converted(place: "StagingDirectory", shards: int, go_on: Callable[[float], None]) -> Iterator["Converted"]:
     """The episodes of all shards, once each is there."""
     from cei_converters.conversion.shard import Shard
 

@@ -11,7 +11,7 @@ from cei_converters.dataset.place import PLAN, HiddenFolder, remove
 from cei_gym.errors import CEIError
 
 
-class Workplace:
+class StagingDirectory:
     """Context manager that holds the folder, for one process at a time.
 
     What is interrupted stays, for `--resume`, once a shard is finished, and what was there before stays whatever happens. What

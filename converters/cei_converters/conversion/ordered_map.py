@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
 
-def in_order[Item, Result](call: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Iterator[Result]:
+def ordered_map[Item, Result](call: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Iterator[Result]:
     """Results of `call` for each item, in their order.
 
     Memory holds a few results more than there are workers, however many items there are.

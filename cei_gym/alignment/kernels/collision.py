@@ -15,7 +15,7 @@ from cei_gym.alignment.kernels.target import empty_pose
 from cei_gym.compiled import njit
 
 
-class KeepOut(NamedTuple):
+class CollisionConstraint(NamedTuple):
     """Links, and what they stay clear of, in the target's base frame.
 
     Attributes:
@@ -47,7 +47,7 @@ class KeepOut(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def penalise(keep_out, obstacles, origin, pose, quadratic, derivatives):
+def penalise(collision, obstacles, origin, pose, quadratic, derivatives):
     """Sum of (k / 2) h^2 over links; adds its forces and blocks to `quadratic` if `derivatives`.
 
     Args:
@@ -55,23 +55,23 @@ def penalise(keep_out, obstacles, origin, pose, quadratic, derivatives):
     """
     total = 0.0
     point, normal = np.empty(3), np.empty(3)
-    for link in range(len(keep_out.joint)):
-        k = keep_out.joint[link]
-        lacking = keep_out.height_m + keep_out.margin_m[link] - _lowest(keep_out, link, pose, k, point)
+    for link in range(len(collision.joint)):
+        k = collision.joint[link]
+        lacking = collision.height_m + collision.margin_m[link] - _lowest(collision, link, pose, k, point)
         if lacking > 0.0:
-            total += 0.5 * keep_out.weight * lacking * lacking
+            total += 0.5 * collision.weight * lacking * lacking
             if derivatives:
                 normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
                 _about(point, origin)
-                add_contact(k, point, normal, lacking, keep_out.weight, quadratic)
-        if keep_out.idle[link]:
-            margin = keep_out.margin_m[link]
-            lacking = margin - nearest(keep_out, link, obstacles, pose, k, margin, point, normal)
+                add_contact(k, point, normal, lacking, collision.weight, quadratic)
+        if collision.idle[link]:
+            margin = collision.margin_m[link]
+            lacking = margin - nearest(collision, link, obstacles, pose, k, margin, point, normal)
             if lacking > 0.0:
-                total += 0.5 * keep_out.weight * lacking * lacking
+                total += 0.5 * collision.weight * lacking * lacking
                 if derivatives:
                     _about(point, origin)
-                    add_contact(k, point, normal, lacking, keep_out.weight, quadratic)
+                    add_contact(k, point, normal, lacking, collision.weight, quadratic)
     return total
 
 
@@ -82,32 +82,32 @@ def _about(point, origin):
 
 
 @njit(cache=True, nogil=True)
-def _lowest(keep_out, link, pose, k, point):
+def _lowest(collision, link, pose, k, point):
     """Height of a link's lowest vertex, which goes to `point`."""
     R, t = pose.rot[k], pose.pos[k]
     lowest, which = np.inf, 0
-    for v in range(keep_out.start[link], keep_out.start[link + 1]):
-        x = keep_out.vertices[v]
+    for v in range(collision.start[link], collision.start[link + 1]):
+        x = collision.vertices[v]
         z = t[2] + R[2, 0] * x[0] + R[2, 1] * x[1] + R[2, 2] * x[2]
         if z < lowest:
             lowest, which = z, v
-    x = keep_out.vertices[which]
+    x = collision.vertices[which]
     for i in range(3):
         point[i] = t[i] + R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2]
     return lowest
 
 
 @njit(cache=True, nogil=True)
-def nearest(keep_out, link, obstacles, pose, k, cutoff_m, point, normal):
+def nearest(collision, link, obstacles, pose, k, cutoff_m, point, normal):
     """Distance of the nearest obstacle (negative inside), its point, and the way out for the link.
 
     Points beyond `cutoff_m` are not looked at: where all are, it is returned, and `point` and `normal` are not filled.
     """
-    R, t, centre = pose.rot[k], pose.pos[k], keep_out.centre[link]
+    R, t, centre = pose.rot[k], pose.pos[k], collision.centre[link]
     cx = t[0] + R[0, 0] * centre[0] + R[0, 1] * centre[1] + R[0, 2] * centre[2]
     cy = t[1] + R[1, 0] * centre[0] + R[1, 1] * centre[1] + R[1, 2] * centre[2]
     cz = t[2] + R[2, 0] * centre[0] + R[2, 1] * centre[1] + R[2, 2] * centre[2]
-    bound = (keep_out.radius[link] + max(cutoff_m, 0.0)) ** 2
+    bound = (collision.radius[link] + max(cutoff_m, 0.0)) ** 2
     least, which, side = cutoff_m, -1, 0
     for p in range(len(obstacles)):
         ox, oy, oz = obstacles[p, 0], obstacles[p, 1], obstacles[p, 2]
@@ -118,9 +118,9 @@ def nearest(keep_out, link, obstacles, pose, k, cutoff_m, point, normal):
         y = R[0, 1] * dx + R[1, 1] * dy + R[2, 1] * dz
         z = R[0, 2] * dx + R[1, 2] * dy + R[2, 2] * dz
         outside, face = -np.inf, 0
-        for d in range(len(keep_out.directions)):
-            n = keep_out.directions[d]
-            distance = n[0] * x + n[1] * y + n[2] * z - keep_out.reach[link, d]
+        for d in range(len(collision.directions)):
+            n = collision.directions[d]
+            distance = n[0] * x + n[1] * y + n[2] * z - collision.reach[link, d]
             if distance > outside:
                 outside, face = distance, d
                 if outside >= least:
@@ -128,7 +128,7 @@ def nearest(keep_out, link, obstacles, pose, k, cutoff_m, point, normal):
         if outside < least:
             least, which, side = outside, p, face
     if which >= 0:
-        n = keep_out.directions[side]
+        n = collision.directions[side]
         for i in range(3):
             point[i] = obstacles[which, i]
             normal[i] = -(R[i, 0] * n[0] + R[i, 1] * n[1] + R[i, 2] * n[2])
@@ -136,7 +136,7 @@ def nearest(keep_out, link, obstacles, pose, k, cutoff_m, point, normal):
 
 
 @njit(cache=True, nogil=True)
-def shortfall(target, keep_out, obstacles, obstacle_start, u):
+def shortfall(target, collision, obstacles, obstacle_start, u):
     """(T,) clearance that the worst link lacks at (T, m) configurations, m."""
     pose = empty_pose(target, 1)
     worst = np.zeros(len(u))
@@ -144,9 +144,9 @@ def shortfall(target, keep_out, obstacles, obstacle_start, u):
     for t in range(len(u)):
         place_joints(target, u[t], pose)
         around = obstacles[obstacle_start[t] : obstacle_start[t + 1]]
-        for link in range(len(keep_out.joint)):
-            k, margin = keep_out.joint[link], keep_out.margin_m[link]
-            worst[t] = max(worst[t], keep_out.height_m + margin - _lowest(keep_out, link, pose, k, point))
-            if keep_out.idle[link]:
-                worst[t] = max(worst[t], margin - nearest(keep_out, link, around, pose, k, margin, point, normal))
+        for link in range(len(collision.joint)):
+            k, margin = collision.joint[link], collision.margin_m[link]
+            worst[t] = max(worst[t], collision.height_m + margin - _lowest(collision, link, pose, k, point))
+            if collision.idle[link]:
+                worst[t] = max(worst[t], margin - nearest(collision, link, around, pose, k, margin, point, normal))
     return worst
