@@ -38,7 +38,7 @@ def write_summary(path: Path, outcomes: Iterable[Outcome], gate: Gate, converter
     for position, outcome in enumerate(outcomes):
         quality = outcome.record["quality"]
         measured.append((quality["score"], *quality["parts"].values()))
-        decisions.append(_fate(outcome, gate))
+        decisions.append(_decision(outcome, gate))
         worst = sorted([*worst, (quality["score"], position, outcome)], key=lambda each: each[:2])[:_WORST]
     names, values = list(worst[0][2].record["quality"]["parts"]), np.array(measured)
     pictures = _portraits([outcome.worst for _, _, outcome in worst], converter)
@@ -61,7 +61,7 @@ def write_summary(path: Path, outcomes: Iterable[Outcome], gate: Gate, converter
         figure.savefig(path, metadata={"Software": None})
 
 
-def _fate(outcome: Outcome, gate: Gate) -> str:
+def _decision(outcome: Outcome, gate: Gate) -> str:
     return DROPPED if outcome.left_out else gate.decision(outcome.record["quality"]["score"])
 
 
