@@ -319,6 +319,7 @@ def test_a_pad_touches_where_it_reaches_farthest(name: str, seed: int) -> None:
     """As deep as the farthest of all vertices of its mesh, and across among those that are about as far."""
     problem = problem_of(name)
     embodiment = problem.embodiment
+    # private: the pads as kernels take them, which no user needs
     target, grasp, _, _ = GraspRefiner(problem, OPTIONS, CONTACT)._arrays
     rng = np.random.default_rng(seed)
     u = random_joints(embodiment, seed)
@@ -634,6 +635,7 @@ def test_fingers_that_hold_do_not_give_way(name: str) -> None:
 def test_the_energys_gradient_is_its_finite_difference(name: str, seed: int) -> None:
     """With a single vertex a pad, so that contact points stay on their links, and a palm that is nearly as wished."""
     problem = problem_of(name)
+    # private: the pads as kernels take them, which no user needs
     target, grasp, _, _ = GraspRefiner(problem, OPTIONS, CONTACT)._arrays
     rng, pads = np.random.default_rng(seed), len(grasp.joint)
     grasp = grasp._replace(vertices=grasp.vertices[grasp.start[:-1]].copy(), start=np.arange(pads + 1))
@@ -660,6 +662,7 @@ def test_the_energys_gradient_is_its_finite_difference(name: str, seed: int) -> 
     links = kernels.Links(keep_nothing_out(), keep_nothing_out(), nothing, nothing)
 
     def energy(u: np.ndarray, derivatives: bool = False) -> float:
+        # private: only derivatives of the energy leave its module, and these are what is tested
         return kernels._energy(target, grasp, links, wish, u, u, memory.pose, points, memory.quadratic, derivatives)
 
     value = energy(u)
@@ -702,6 +705,7 @@ def transferred_grip(demonstration: Demonstration, T_world_target: np.ndarray | 
     transfer = Transfer(
         *bodies, TransferOptions(points=32), clouds=CloudOptions(robot_points=64), T_world_target=T_world_target
     )
+    # private: a grip on its way from the source to the solver, which a user sees only in what follows from it
     return transfer._motion(demonstration).grip
 
 

@@ -210,9 +210,7 @@ def test_lerobots_environment_is_the_datasets_own(coloured: Path, clouds: list[s
         np.testing.assert_allclose(camera.T_world_camera, other.T_world_camera)
     wrapper = vector.envs[0].env
     assert isinstance(wrapper, CrossEmbodimentWrapper)
-    assert wrapper._synthesiser.options == CloudOptions(
-        **({"points": 300, "tau_m": 0.01, "colours": False} if clouds else {})
-    )
+    assert wrapper.clouds == CloudOptions(**({"points": 300, "tau_m": 0.01, "colours": False} if clouds else {}))
     vector.close()
     # Recorded clouds are the cameras' own, and so are those of an environment that is made like theirs.
     assert CEIEnvConfig(dataset=str(coloured)).augment is False

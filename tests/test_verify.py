@@ -198,7 +198,7 @@ def use(transfer: Transfer, monkeypatch: pytest.MonkeyPatch) -> Use:
     """Puts a fake stage into `cei-convert`, which then starts where `transfer` does: choosing takes longest."""
 
     def fit(self: Transfer, _: object) -> None:
-        self.basins, self._finalists = transfer.basins, transfer._finalists
+        self.start_from(transfer.finalists)
 
     def put(succeeds: Callable[[FakeStage], bool]) -> None:
         monkeypatch.setattr("cei_converters.conversion.converter.open_stage", lambda *_: FakeStage(succeeds))
