@@ -4,7 +4,8 @@ import contextlib
 import ctypes
 import gc
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -42,3 +43,44 @@ def _memory_is_given_back() -> Iterator[None]:
     gc.collect()
     with contextlib.suppress(OSError, AttributeError):  # no glibc
         ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+@pytest.fixture
+def complaint(capsys: pytest.CaptureFixture[str]) -> Callable[[], str]:
+    """Reads what a command has said since last asked, which must be all that bad input gets: one line, `error: ...`."""
+
+    def read() -> str:
+        error = capsys.readouterr().err
+        assert error.startswith("error: ") and error.count("\n") == 1, error
+        return error
+
+    return read
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small dataset with depth, as `killed.arguments` convert it. Who changes it copies it."""
+    import killed  # not where no test needs it: it takes two seconds
+
+    root = tmp_path_factory.mktemp("source") / "source"
+    killed.write_source(root)
+    return root
+
+
+@pytest.fixture
+def robomimic(tmp_path: Path) -> Path:
+    """A file of robomimic's, with three demonstrations of a Panda."""
+    import other_formats
+
+    other_formats.write_robomimic(tmp_path / "demo.hdf5")
+    return tmp_path / "demo.hdf5"
+
+
+@pytest.fixture(scope="module")
+def v21(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset as LeRobot 0.1 to 0.3 wrote it, with three demonstrations of a Panda. Who changes it copies it."""
+    import other_formats
+
+    root = tmp_path_factory.mktemp("old") / "pick"
+    other_formats.write_v21(root)
+    return root

@@ -9,17 +9,16 @@ import gymnasium as gym
 import killed
 import numpy as np
 import pytest
+from conversions import record_cubes, records, same
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-from test_resume import same
 
-from cei_converters import convert, record, replay, view
+from cei_converters import convert, replay, view
 from cei_converters.conversion import shard
 from cei_converters.conversion.augment import Augmentation, AugmentOptions
 from cei_converters.dataset import schema
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.episodes import encode_episode
-from cei_converters.dataset.records import Records
 from cei_converters.dataset.writer import DatasetWriter
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import InitialisationOptions
@@ -217,21 +216,10 @@ AUGMENT = ("--augment.grid=2,2", "--augment.range=0.1,0.06", "--augment.rotation
 
 
 @pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("augmentation") / "source"
-    killed.write_source(root)
-    return root
-
-
-@pytest.fixture(scope="module")
 def augmented(source: Path) -> Path:
     root = source.with_name("augmented")
     assert convert.main([*killed.arguments(source, root, *AUGMENT, f"--json={root}.json")]) == 0
     return root
-
-
-def records(root: Path) -> list[dict]:
-    return list(Records(root))
 
 
 def test_every_episode_becomes_one_for_each_place(augmented: Path) -> None:
@@ -359,12 +347,10 @@ def test_pictures_are_left_out_and_those_of_objects_say_which_points_they_are(
     ],
 )  # fmt: skip
 def test_bad_options_are_refused_in_one_line(
-    options: list[str], code: int, message: str, source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+    options: list[str], code: int, message: str, source: Path, tmp_path: Path, complaint: Callable
 ) -> None:
     assert convert.main(killed.arguments(source, tmp_path / "out", *options)) == code
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+    assert message in complaint()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -372,8 +358,7 @@ def test_bad_options_are_refused_in_one_line(
 
 
 def test_cubes_elsewhere_are_picked_from_the_starts_that_the_dataset_has(tmp_path: Path) -> None:
-    recorded = ["--env=CEI-PickCube-Panda-PandaGripper", "--episodes=1", "--seed=0", "--repo_id=me/source"]
-    assert record.main([*recorded, f"--root={tmp_path / 'source'}"]) == 0
+    record_cubes(tmp_path / "source", 1, 0)
     source = ["--dataset.repo_id=me/source", f"--dataset.root={tmp_path / 'source'}", "--new_repo_id=me/target"]
     quick = ["--clouds.robot_points=2048", "--clouds.points=1024", "--init.starts=64", "--init.basins=8"]
     augment = ["--augment.grid=2,1", "--augment.range=0.2,0.2", "--augment.rotation_deg=30", "--augment.objects=state"]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import problem_of
 from scipy.optimize import linprog, minimize
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -60,12 +61,6 @@ CONTACT = ContactOptions(opposition_weight=1e3, turning_weight=1.0, carrying_wei
 REACHED, CLOSED, HELD, FRAMES = 16, 24, 28, 44
 SEEDS = st.integers(0, 2**31)
 ARM_OF = dict(zip(END_EFFECTORS, ("Kinova3", "IIWA", "Panda", "UR5e", "Panda"), strict=True))
-
-
-@cache
-def problem_of(name: str, points: int = 32) -> AlignmentProblem:
-    embodiment = load_embodiment(name)
-    return AlignmentProblem(sample_representation(embodiment, points), KinematicTree(embodiment))
 
 
 def root_of(embodiment: Embodiment) -> int:

@@ -1,13 +1,12 @@
 """Why a target does not follow: each cause is made to happen, and is the one that is named, with its numbers."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
+from problems import problem_of
 
 from cei_gym.alignment import (
-    AlignmentProblem,
     ContactOptions,
     Follower,
     Motion,
@@ -16,18 +15,9 @@ from cei_gym.alignment import (
     opposing_sides,
     source_grip,
 )
-from cei_gym.embodiment import load_embodiment
 from cei_gym.embodiment.embodiment import END_EFFECTOR_PREFIX
-from cei_gym.functional import sample_representation
-from cei_gym.kinematics import KinematicTree
 
 OPTIONS = SolverOptions()
-
-
-@cache
-def problem_of(name: str) -> AlignmentProblem:
-    embodiment = load_embodiment(name)
-    return AlignmentProblem(sample_representation(embodiment, 32), KinematicTree(embodiment))
 
 
 def motion_of(name: str, frames: int = 4, wide: float = 1.0) -> Motion:

@@ -7,8 +7,9 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from conversions import record_cubes
 
-from cei_converters import convert, record, replay
+from cei_converters import convert, replay
 from cei_converters.sources.reader import DatasetReader
 from cei_envs.environment import CEIEnv
 from cei_envs.viewpoints import make_cameras
@@ -148,8 +149,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with `noisy`, recorded by three noisy cameras, and `clean`, the same without noise."""
     folder = tmp_path_factory.mktemp("real")
     for name, noise in (("noisy", ["--depth_noise=kinect"]), ("clean", [])):
-        options = [f"--env=CEI-PickCube-{SOURCE}", "--episodes=1", "--seed=3", f"--cameras=[{','.join(CAMERAS)}]"]
-        assert record.main([*options, *noise, f"--repo_id=me/{name}", f"--root={folder / name}"]) == 0
+        record_cubes(folder / name, 1, 3, f"--cameras=[{','.join(CAMERAS)}]", *noise)
     return folder
 
 

@@ -3,13 +3,12 @@
 import warnings
 from collections.abc import Iterator
 
-import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from rollouts import make, wander
 
-from cei_envs import environment_id
 from cei_envs.environment import CEIEnv
 from cei_envs.experts import make_expert
 from cei_envs.simulation import StillBaseController
@@ -23,14 +22,10 @@ CONTROL_S = 0.05
 FIRST = {"OpenDrawer": "never pulled", "StackCube": "never grasped"}
 
 
-def make(task: str, name: str = PANDA, **arguments) -> CEIEnv:
-    return gym.make(environment_id(task, name), **arguments).unwrapped
-
-
 @pytest.fixture(scope="module")
 def envs() -> Iterator[dict[str, CEIEnv]]:
     """Without clouds, which cost most of the time."""
-    made = {task: make(task, clouds=False) for task in TASKS}
+    made = {task: make(task, PANDA, clouds=False) for task in TASKS}
     yield made
     for env in made.values():
         env.close()
@@ -60,13 +55,6 @@ def wait(env: CEIEnv, periods: int) -> tuple[bool, dict]:
     return False, info
 
 
-def wander(env: CEIEnv, steps: int, seed: int = 0) -> np.ndarray:
-    """(steps, n) targets near home."""
-    rng, body = np.random.default_rng(seed), env.embodiment
-    targets = body.home + np.cumsum(rng.uniform(-0.04, 0.04, (steps, len(body.home))), axis=0)
-    return np.clip(targets, body.lower, body.upper).astype(np.float32)
-
-
 def assert_same(one: dict, other: dict, keys=("agent_pos", "environment_state")) -> None:
     for key in keys:
         np.testing.assert_array_equal(one[key], other[key], err_msg=key)
@@ -93,7 +81,7 @@ def shift(env: CEIEnv, joint: str, index: int, by: float) -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_gymnasium_checks_the_environment(task: str) -> None:
-    env = make(task)
+    env = make(task, PANDA)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_env(env, skip_render_check=True)
@@ -148,7 +136,7 @@ def test_every_start_comes_back_bit_for_bit(task: str, envs: dict[str, CEIEnv]) 
 
 @pytest.mark.parametrize("task", ["PickCube", *TASKS])
 def test_without_clouds_physics_is_the_same(task: str) -> None:
-    seeing, blind = make(task), make(task, clouds=False)
+    seeing, blind = make(task, PANDA), make(task, PANDA, clouds=False)
     assert "point_cloud" in seeing.observation_space.spaces
     assert set(blind.observation_space.spaces) == {"agent_pos", "environment_state"}
     actions = wander(seeing, 4)
@@ -379,7 +367,7 @@ def test_cubes_are_robosuites_own() -> None:
     import robosuite
     from robosuite.controllers import load_composite_controller_config
 
-    env = make("StackCube", clouds=False)
+    env = make("StackCube", PANDA, clouds=False)
     env.reset(seed=0)
     stock = robosuite.make(
         "Stack",
@@ -546,7 +534,7 @@ def test_stock_physics_leaves_out_all_exceptions_but_the_required() -> None:
 
 
 def test_stock_physics_of_a_hand_without_exceptions_is_its_physics() -> None:
-    envs = [make("StackCube", clouds=False, stock_physics=stock) for stock in (True, False)]
+    envs = [make("StackCube", PANDA, clouds=False, stock_physics=stock) for stock in (True, False)]
     actions = wander(envs[0], 4)
     for env in envs:
         env.reset(seed=1)
@@ -564,7 +552,7 @@ def test_a_base_that_stands_still_saves_time_only(name: str, monkeypatch: pytest
     monkeypatch.setattr(StillBaseController, "name", "BASIC")
     basic = make("PickCube", name, clouds=False)
     quick = []
-    monkeypatch.setattr(StillBaseController, "update_state", quick.append)
+    monkeypatch.setattr(StillBaseController, "update_state", lambda self: quick.append(self))
     start, _ = fast.reset(seed=0)
     fast.step(start["agent_pos"])
     assert len(quick) > 0

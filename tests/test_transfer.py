@@ -155,7 +155,9 @@ def test_a_squeeze_asks_for_no_more_than_the_source_did(asked_m: float, expected
     moved, _ = transfer(TARGETS[0])(demonstration(action=action))
     representation, tree = sample_representation(target, OPTIONS.points, OPTIONS.seed), KinematicTree(target)
     (is_, normals), (told, _) = (representation.place(tree.forward(q[-1])) for q in (moved.qpos, moved.action))
-    assert ((told - is_) * normals).sum(axis=1).mean() == pytest.approx(expected_m, rel=0.15, abs=1e-6)  # to first order
+    assert ((told - is_) * normals).sum(axis=1).mean() == pytest.approx(
+        expected_m, rel=0.15, abs=1e-6
+    )  # to first order
 
 
 def test_the_same_transfer_twice_is_the_same(transfer: Callable) -> None:
