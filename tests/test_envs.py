@@ -201,7 +201,7 @@ def test_one_seed_gives_one_episode(name: str, envs: dict[str, CEIEnv]) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_recorded_start_is_restored_exactly(name: str, envs: dict[str, CEIEnv]) -> None:
     env = envs[name]
-    actions = wander(env, seed=1)
+    actions = wander(env, 5, seed=1)
     recorded = rollout(env, actions, seed=5)
     start = {key: recorded[0][key] for key in ("environment_state", "agent_pos")}
     rollout(env, wander(env, 2, seed=2), seed=6)
