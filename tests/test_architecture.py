@@ -258,3 +258,41 @@ def test_tests_use_public_names() -> None:
 )
 def test_private_uses_are_found(text: str, names: list[str]) -> None:
     assert [name for _, name in private_uses(text)] == names
+
+
+# -- the fast set ------------------------------------------------------------------------------------------------------
+
+
+def test_files_that_are_left_out_of_the_fast_set_exist_longest_first(pytestconfig: pytest.Config) -> None:
+    """Names are of files that there are, each once, and `make test-fast` asks for the option that leaves them out."""
+    conftest = next(each for each in pytestconfig.pluginmanager.get_plugins() if hasattr(each, "MOST_S"))
+    files = {path.stem for path in (ROOT / "tests").glob("test_*.py")}
+    assert files > conftest.SLOW.keys()
+    assert [*conftest.SLOW.values()] == sorted(conftest.SLOW.values(), reverse=True)
+    assert min(conftest.SLOW.values()) > conftest.MOST_S
+    keys = [key.value for key in slow_keys((ROOT / "tests/conftest.py").read_text())]
+    assert len({*keys}) == len(keys)
+    assert re.search(r"^test-fast: .*\n\t@\$\(PYTEST\) --fast ", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+def slow_keys(text: str) -> list[ast.Constant]:
+    """The names in SLOW as they are written, where a dict would hide one that is there twice."""
+    (table,) = (
+        node.value
+        for node in ast.parse(text).body
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "SLOW"
+    )
+    return table.keys
+
+
+def test_the_fast_set_leaves_out_what_is_slow_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "conftest.py").write_text(
+        re.sub(r"(?s)SLOW = \{.*?\}", 'SLOW = {"test_long": 100}', (ROOT / "tests/conftest.py").read_text())
+    )
+    for name in ("test_brief", "test_long", "test_last"):
+        (tmp_path / f"{name}.py").write_text(f"import time\n\ndef {name}():\n    time.sleep(0.01)\n")
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-v", "--rootdir", tmp_path]
+    for option, expected in (([], ["test_long", "test_brief", "test_last"]), (["--fast"], ["test_brief", "test_last"])):
+        done = subprocess.run([*command, *option, tmp_path], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout
+        assert re.findall(r"::(\w+) PASSED", done.stdout) == expected
