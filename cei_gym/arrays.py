@@ -1,7 +1,12 @@
 """`Array`: NumPy's array of any shape and type, for annotations; docstrings say shape, unit and frame."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from numpy.typing import NDArray
+import numpy as np
 
-type Array = NDArray[Any]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    type Array = NDArray[Any]
+else:
+    Array = np.ndarray  # what reads files by the annotations of their fields (draccus) knows just this
