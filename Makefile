@@ -5,15 +5,16 @@ SHELL := /bin/sh
 PYTHON_ENV := .venv/bin/python
 ENVIRONMENT := .venv/.installed
 PYTEST_ARGS ?=
+PYTEST := OMP_NUM_THREADS=1 $(PYTHON_ENV) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 DEMO_ARGS ?=
 
 # Python may cache what it compiles: importing everything anew takes 14 s a process.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup demo test documents docs ray check format type build benchmark lock clean
+.PHONY: help setup demo test test-fast coverage documents docs ray check format type build benchmark lock clean
 
 help: ## List the targets (the default)
-	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1 # \2/p' $(MAKEFILE_LIST) | awk -F' # ' '{ printf "%-18s %s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1 # \2/p' $(MAKEFILE_LIST) | awk -F' # ' '{ printf "%-18s %s\n", $$1, $$2 }'
 
 setup: $(ENVIRONMENT) ## Install everything into .venv, once (PYTHON=... picks the interpreter)
 
@@ -25,7 +26,13 @@ demo: setup ## Move a skill between two robots and show it: outputs/demo/report.
 	@$(PYTHON_ENV) -m cei_converters.start demo $(DEMO_ARGS)
 
 test: setup ## Run the tests (PYTEST_ARGS="-k word" picks some)
-	@OMP_NUM_THREADS=1 $(PYTHON_ENV) -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS) tests
+	@$(PYTEST) $(PYTEST_ARGS) tests
+
+test-fast: setup ## Run the tests of all files that take seconds, in less than two minutes
+	@$(PYTEST) --fast $(PYTEST_ARGS) tests
+
+coverage: setup ## Run the tests and show which lines they reach: a table, and htmlcov/index.html
+	@$(PYTEST) --cov --cov-report=term --cov-report=html $(PYTEST_ARGS) tests
 
 documents: setup ## Run every command and piece of code of the documents, made small (DOCUMENTS=docs/policies.md picks some)
 	@$(PYTHON_ENV) -P tests/smoke/documents.py . $(DOCUMENTS)
@@ -63,5 +70,5 @@ lock: ## Bring requirements.lock up to the pyprojects (LOCK_ARGS=--upgrade for n
 	@scripts/lock $(LOCK_ARGS)
 
 clean: ## Remove what the other targets made, but not .venv
-	@rm -rf build dist outputs .pytest_cache .ruff_cache .hypothesis .coverage htmlcov
+	@rm -rf build dist outputs .pytest_cache .ruff_cache .hypothesis .coverage* htmlcov
 	@find . -name __pycache__ -type d -not -path './.venv/*' -prune -exec rm -rf {} +

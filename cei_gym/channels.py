@@ -9,10 +9,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from enum import StrEnum, auto
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 
 _KEY = "channel"
@@ -65,13 +66,13 @@ class Channel:
     finite: bool = False
     by_camera: bool = False
 
-    def arrays(self, value: Any) -> dict[str, np.ndarray]:
+    def arrays(self, value: Any) -> dict[str, Array]:
         """A channel's value as arrays (T, *shape), by camera; without cameras the one array is under the empty name, if there is one."""
         if self.by_camera:
             return dict(value)
         return {} if value is None else {"": value}
 
-    def map(self, value: Any, change: Callable[[np.ndarray], np.ndarray]) -> Any:
+    def map(self, value: Any, change: Callable[[Array], Array]) -> Any:
         """A channel's value with a change made to each of its arrays."""
         changed = {name: change(array) for name, array in self.arrays(value).items()}
         return changed if self.by_camera else changed.get("")
@@ -88,21 +89,25 @@ def channel(*args: Any, **kwargs: Any) -> dict[str, Channel]:
 
 
 @cache
-def channels(kind: type) -> Mapping[str, Channel]:
+def channels(kind: type[Any]) -> Mapping[str, Channel]:
     """The channels that a dataclass declares, by name, in their order."""
     return {each.name: each.metadata[_KEY] for each in fields(kind) if _KEY in each.metadata}
 
 
+def _of(owner: Any) -> Mapping[str, Channel]:
+    return channels(cast(type[Any], type(owner)))
+
+
 def present(owner: Any) -> Iterator[tuple[str, Channel, Any]]:
     """Name, declaration and value of each channel that a demonstration has."""
-    for name, declared in channels(type(owner)).items():
+    for name, declared in _of(owner).items():
         if declared.arrays(value := getattr(owner, name)):
             yield name, declared, value
 
 
 def entry_names(owner: Any, name: str) -> tuple[str, ...]:
     """Names of a channel's entries, with units; none where nobody knows them."""
-    return channels(type(owner))[name].names or getattr(owner, f"{name}_names", ())
+    return _of(owner)[name].names or getattr(owner, f"{name}_names", ())
 
 
 def check_channels(owner: Any, frames: int, where: str) -> None:
@@ -128,7 +133,7 @@ def check_channels(owner: Any, frames: int, where: str) -> None:
             raise CEIError(f"{where}: {name} has {value.shape[-1]} entries and {len(names)} names.")
 
 
-def _check_shape(array: np.ndarray, frames: int, declared: Channel, of: str, sizes: dict[str, int]) -> None:
+def _check_shape(array: Array, frames: int, declared: Channel, of: str, sizes: dict[str, int]) -> None:
     right = [
         sizes.setdefault(side, size) if isinstance(side, str) else side
         for side, size in zip(declared.shape, array.shape[1:], strict=False)

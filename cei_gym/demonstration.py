@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.channels import OnDisplacement, OnTransfer, channel, channels, check_channels, present
 from cei_gym.displacement import Displacement
 from cei_gym.errors import CEIError
@@ -25,8 +26,8 @@ class Camera:
     name: str
     width: int
     height: int
-    K: np.ndarray
-    T_world_camera: np.ndarray
+    K: Array
+    T_world_camera: Array
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,9 @@ class Scene:
         table_z_m: height of the surface that objects stand on, world; None where it is the workspace's floor.
     """
 
-    T_world_base: np.ndarray
+    T_world_base: Array
     cameras: tuple[Camera, ...]
-    workspace_world: np.ndarray
+    workspace_world: Array
     table_z_m: float | None = None
 
     @property
@@ -85,34 +86,34 @@ class Demonstration:
 
     embodiment: str
     fps: float
-    qpos: np.ndarray = field(metadata=channel(("joints",), "rad or m", RECOMPUTE, AS_RECORDED, finite=True))
-    action: np.ndarray = field(metadata=channel(("joints",), "rad or m", RECOMPUTE, AS_RECORDED, finite=True))
+    qpos: Array = field(metadata=channel(("joints",), "rad or m", RECOMPUTE, AS_RECORDED, finite=True))
+    action: Array = field(metadata=channel(("joints",), "rad or m", RECOMPUTE, AS_RECORDED, finite=True))
     scene: Scene
     task: str = ""
-    point_cloud_world: np.ndarray | None = field(
+    point_cloud_world: Array | None = field(
         default=None, metadata=channel(("points", "columns"), "m", RECOMPUTE, AS_RECORDED, frame="world")
     )
-    depth_m: Mapping[str, np.ndarray] = field(
-        default_factory=dict,
+    depth_m: Mapping[str, Array] = field(
+        default_factory=dict[str, Array],
         metadata=channel(("height", "width"), "m", RECOMPUTE, AS_RECORDED, frame="camera", by_camera=True),
     )
-    rgb: Mapping[str, np.ndarray] = field(
-        default_factory=dict,
+    rgb: Mapping[str, Array] = field(
+        default_factory=dict[str, Array],
         metadata=channel(
             ("height", "width", 3), "1/255", RECOMPUTE, AS_RECORDED, "uint8", frame="camera", by_camera=True
         ),
     )
-    environment_state: np.ndarray | None = field(
+    environment_state: Array | None = field(
         default=None, metadata=channel(("entries",), "as names say", KEEP, MOVE, frame="world", finite=True)
     )
     environment_state_names: tuple[str, ...] = ()
-    wrench: np.ndarray | None = field(
+    wrench: Array | None = field(
         default=None,
         metadata=channel((6,), "N, N m", DROP, AS_RECORDED, frame="wrist sensor", names=WRENCH, finite=True),
     )
     index: int = 0
-    figures: Mapping[str, float] = field(default_factory=dict)
-    source_frames: np.ndarray | None = None
+    figures: Mapping[str, float] = field(default_factory=dict[str, float])
+    source_frames: Array | None = None
     displacement: Displacement | None = None
 
     def __post_init__(self) -> None:
@@ -124,7 +125,7 @@ class Demonstration:
     def __len__(self) -> int:
         return len(self.qpos)
 
-    def at(self, frames: np.ndarray) -> "Demonstration":
+    def at(self, frames: Array) -> "Demonstration":
         """The demonstration with its frames at these indices, in this order."""
         if np.array_equal(frames, np.arange(len(self))):
             return self

@@ -3,8 +3,8 @@
 from typing import Any, Protocol, cast
 
 import gymnasium as gym
-import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
@@ -13,7 +13,7 @@ from cei_gym.errors import CEIError
 class Demonstrator(Protocol):
     """Who demonstrates a task by a script."""
 
-    def plan(self, agent_pos: np.ndarray, environment_state: np.ndarray) -> np.ndarray:
+    def plan(self, agent_pos: Array, environment_state: Array) -> Array:
         """(T, n) joint targets, rad or m, from joints (n,) and the state of objects (k,) at an episode's start."""
         ...
 

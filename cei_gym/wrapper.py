@@ -75,6 +75,8 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
             raise CEIError(f"impersonate moves {shown.name} to {impersonate.target.name}, but {acting.name} acts.")
         clouds = clouds or (CloudOptions() if impersonate is None else impersonate.clouds)
         self._synthesiser = CloudSynthesiser(acting, shown, clouds)
+        self.clouds: CloudOptions = clouds
+        """Options of the clouds that the policy sees."""
         self._impersonation = None if impersonate is None else Impersonation(impersonate, np.eye(4))
         spaces[cloud_key] = _cloud_space(self._scene.workspace_world, clouds, spaces[cloud_key])
         if impersonate is not None:

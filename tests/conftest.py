@@ -4,35 +4,52 @@ import contextlib
 import ctypes
 import gc
 import signal
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
-LONGEST = (
-    "test_main_job",
-    "test_signals",
-    "test_resume",
-    "test_lerobot_scripts",
-    "test_benchmark_command",
-    "test_benchmarks",
-    "test_edited",
-    "test_malformed",
-    "test_policy_benchmark",
-    "test_real_clouds",
-    "test_envs",
-    "test_provenance",
-    "test_demo",
-)
-"""Files that take half a minute and more. They begin first, so that the processes that share the tests end together."""
+SLOW = {
+    "test_main_job": 100,
+}
+"""Files that take longer than `MOST_S`, and how long, s, alone on an idle core. They begin first, longest first, so that the processes that
+share the tests end together; `--fast` leaves them out."""
+
+MOST_S = 10
 
 # Shells and nohup have what they start in the background ignore these, and it would be so for every process that a test starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--fast", action="store_true", help="leave out the files that take long (SLOW of tests/conftest.py)"
+    )
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    return True if config.getoption("--fast") and collection_path.stem in SLOW else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    order = {name: i for i, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: order.get(item.path.stem, len(order)))
+    items.sort(key=lambda item: -SLOW.get(item.path.stem, 0))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    if not config.getoption("--fast"):
+        return
+    took_s: Counter[str] = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if isinstance(report, pytest.TestReport):
+                took_s[report.location[0]] += report.duration
+    for file, s in took_s.most_common():
+        if s > MOST_S:
+            terminalreporter.write_line(
+                f"{file} took {s:.0f} s. Where this machine was idle, name it in SLOW of tests/conftest.py."
+            )
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -42,3 +59,44 @@ def _memory_is_given_back() -> Iterator[None]:
     gc.collect()
     with contextlib.suppress(OSError, AttributeError):  # no glibc
         ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+@pytest.fixture
+def complaint(capsys: pytest.CaptureFixture[str]) -> Callable[[], str]:
+    """Reads what a command has said since last asked, which must be all that bad input gets: one line, `error: ...`."""
+
+    def read() -> str:
+        error = capsys.readouterr().err
+        assert error.startswith("error: ") and error.count("\n") == 1, error
+        return error
+
+    return read
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small dataset with depth, as `killed.arguments` convert it. Who changes it copies it."""
+    import killed  # not where no test needs it: it takes two seconds
+
+    root = tmp_path_factory.mktemp("source") / "source"
+    killed.write_source(root)
+    return root
+
+
+@pytest.fixture
+def robomimic(tmp_path: Path) -> Path:
+    """A file of robomimic's, with three demonstrations of a Panda."""
+    import other_formats
+
+    other_formats.write_robomimic(tmp_path / "demo.hdf5")
+    return tmp_path / "demo.hdf5"
+
+
+@pytest.fixture(scope="module")
+def v21(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset as LeRobot 0.1 to 0.3 wrote it, with three demonstrations of a Panda. Who changes it copies it."""
+    import other_formats
+
+    root = tmp_path_factory.mktemp("old") / "pick"
+    other_formats.write_v21(root)
+    return root

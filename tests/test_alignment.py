@@ -3,12 +3,12 @@
 import subprocess
 import sys
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import home, problem_of
 
 from cei_gym.alignment import (
     AlignmentProblem,
@@ -28,7 +28,7 @@ from cei_gym.alignment.start.basins import judge_basins
 from cei_gym.alignment.start.starts import active_joints, find_basins, random_starts
 from cei_gym.embodiment import END_EFFECTORS, load_embodiment
 from cei_gym.errors import CEIError
-from cei_gym.functional import directional_chamfer_distance, sample_representation
+from cei_gym.functional import directional_chamfer_distance
 from cei_gym.kinematics import KinematicTree
 
 # Each arm and each end-effector.
@@ -49,19 +49,9 @@ POINTS = 32
 SEEDS = st.integers(0, 2**31)
 
 
-@cache
-def problem_of(name: str, points: int = POINTS, seed: int = 1) -> AlignmentProblem:
-    embodiment = load_embodiment(name)
-    return AlignmentProblem(sample_representation(embodiment, points, seed), KinematicTree(embodiment))
-
-
 @pytest.fixture(scope="module")
 def problems() -> dict[str, AlignmentProblem]:
     return {name: problem_of(name) for name in NAMES.values()}
-
-
-def home(problem: AlignmentProblem) -> np.ndarray:
-    return problem.embodiment.coupled.reduce(problem.embodiment.home)
 
 
 def inside(problem: AlignmentProblem, seed: int, share: float = 0.8) -> np.ndarray:

@@ -265,3 +265,110 @@ def test_the_names_that_a_user_needs_are_at_the_top_and_cost_nothing_before_they
     with pytest.raises(AttributeError, match="no attribute 'Transfers'"):
         _ = cei_gym.Transfers  # pyright: ignore
     assert "numba" not in loaded("import cei_gym")
+
+
+# -- tests and private names -------------------------------------------------------------------------------------------
+
+DOCUMENTED = {"_replace", "_fields", "_asdict", "_make", "_exit"}
+"""Of named tuples and of `os`: Python's documentation has them, underscore and all."""
+
+
+def private_uses(text: str) -> list[tuple[int, str]]:
+    """Lines and names of what a test uses although its maker keeps it to itself: attributes, imports, and names in strings that patch or
+    look up. What a class of the test has of its own does not count."""
+    tree, own, found = ast.parse(text), set(), set()
+    for cls in (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)):
+        for node in ast.walk(cls):
+            if isinstance(node, ast.FunctionDef):
+                own.add(node.name)
+            elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+                own.add(node.attr)
+    for node in ast.walk(tree):
+        match node:
+            case ast.Attribute(attr=name):
+                names = [name]
+            case ast.Import(names=aliases):
+                names = [part for alias in aliases for part in alias.name.split(".")]
+            case ast.ImportFrom(module=module, names=aliases):
+                names = [*(module or "").split("."), *(alias.name for alias in aliases)]
+            case ast.Call(func=ast.Attribute(attr=function) | ast.Name(id=function), args=arguments) if re.search(
+                "attr|patch", function
+            ):
+                texts = [a.value for a in arguments if isinstance(a, ast.Constant) and isinstance(a.value, str)]
+                names = [part for each in texts for part in each.split(".")]
+            case ast.Subscript(slice=ast.Constant(value=str(key)), value=ast.Call(func=ast.Name(id="vars"))):
+                names = [key]
+            case ast.Subscript(slice=ast.Constant(value=str(key)), value=ast.Attribute(attr="__dict__")):
+                names = [key]
+            case _:
+                continue
+        private = {name for name in names if re.match("_[A-Za-z]", name)} - DOCUMENTED - own
+        found |= {(node.lineno, name) for name in private}
+    return sorted(found)
+
+
+def test_tests_use_public_names() -> None:
+    """Less than ten times not, and then the line, or the one above, says why: `# private: ...`."""
+    uses = []
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        lines = path.read_text().splitlines()
+        for number, name in private_uses(path.read_text()):
+            uses.append(f"{path.name}:{number}: {name}")
+            assert re.search(r"# private: \S+ \S+", "\n".join(lines[max(number - 2, 0) : number])), uses[-1]
+    assert len(uses) < 10, "\n".join(uses)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("x._a + x.b + x.__dict__", ["_a"]),
+        ("from cei_gym.transfer import _A, B", ["_A"]),
+        ("import cei_gym._hidden.x", ["_hidden"]),
+        ("monkeypatch.setattr('cei_gym.transfer._A', 1)", ["_A"]),
+        ("getattr(x, '_a'); patch.setattr(x, '_b', 1); patch.setenv('_c', '1')", ["_a", "_b"]),
+        ("vars(x)['_a'], x.__dict__['_b'], x['_c']", ["_a", "_b"]),
+        ("os._exit(1); point._replace(x=1)", []),
+        ("class A:\n  def __init__(self): self._a = 1\n  def _b(self): ...\nA()._a, A()._b, x._c", ["_c"]),
+        ("def fit(self): self._a = 1", ["_a"]),
+    ],
+)
+def test_private_uses_are_found(text: str, names: list[str]) -> None:
+    assert [name for _, name in private_uses(text)] == names
+
+
+# -- the fast set ------------------------------------------------------------------------------------------------------
+
+
+def test_files_that_are_left_out_of_the_fast_set_exist_longest_first(pytestconfig: pytest.Config) -> None:
+    """Names are of files that there are, each once, and `make test-fast` asks for the option that leaves them out."""
+    conftest = next(each for each in pytestconfig.pluginmanager.get_plugins() if hasattr(each, "MOST_S"))
+    files = {path.stem for path in (ROOT / "tests").glob("test_*.py")}
+    assert files > conftest.SLOW.keys()
+    assert [*conftest.SLOW.values()] == sorted(conftest.SLOW.values(), reverse=True)
+    assert min(conftest.SLOW.values()) > conftest.MOST_S
+    keys = [key.value for key in slow_keys((ROOT / "tests/conftest.py").read_text())]
+    assert len({*keys}) == len(keys)
+    assert re.search(r"^test-fast: .*\n\t@\$\(PYTEST\) --fast ", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+def slow_keys(text: str) -> list[ast.Constant]:
+    """The names in SLOW as they are written, where a dict would hide one that is there twice."""
+    (table,) = (
+        node.value
+        for node in ast.parse(text).body
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "SLOW"
+    )
+    return table.keys
+
+
+def test_the_fast_set_leaves_out_what_is_slow_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "conftest.py").write_text(
+        re.sub(r"(?s)SLOW = \{.*?\}", 'SLOW = {"test_long": 100}', (ROOT / "tests/conftest.py").read_text())
+    )
+    for name in ("test_brief", "test_long", "test_last"):
+        (tmp_path / f"{name}.py").write_text(f"import time\n\ndef {name}():\n    time.sleep(0.01)\n")
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-v", "--rootdir", tmp_path]
+    for option, expected in (([], ["test_long", "test_brief", "test_last"]), (["--fast"], ["test_brief", "test_last"])):
+        done = subprocess.run([*command, *option, tmp_path], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout
+        assert re.findall(r"::(\w+) PASSED", done.stdout) == expected

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from conversions import records
 
 from cei_converters import convert
 from cei_converters.dataset import schema
-from cei_converters.dataset.records import Records
 from cei_converters.sources.calibration import FORMAT, load_calibration
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.demonstration import Camera, Demonstration, Scene
@@ -151,10 +151,6 @@ def episodes(root: Path) -> list[list[dict]]:
     for item in (dataset[i] for i in range(len(dataset))):
         found[int(item["episode_index"])].append(item)
     return found
-
-
-def records(root: Path) -> list[dict]:
-    return list(Records(root))
 
 
 # depth

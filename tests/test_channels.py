@@ -9,8 +9,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from conversions import record_cubes
 
-from cei_converters import convert, record
+from cei_converters import convert
 from cei_converters.dataset import schema
 from cei_converters.dataset.columns import encode
 from cei_converters.sources.reader import DatasetReader
@@ -173,8 +174,7 @@ def test_an_unknown_sensor_is_refused() -> None:
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("channels") / "felt"
-    options = [f"--env=CEI-PickCube-{SOURCE}", "--episodes=1", "--sensors=[wrench]", "--repo_id=me/felt"]
-    assert record.main([*options, f"--root={root}"]) == 0
+    record_cubes(root, 1, 0, "--sensors=[wrench]")
     return root
 
 

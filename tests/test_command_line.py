@@ -301,14 +301,12 @@ def test_values_out_of_range_and_options_of_no_use_are_refused(
     name: str,
     args: list[str],
     message: str,
-    capsys: pytest.CaptureFixture,
+    complaint: Callable,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     _, main, required = CONFIGS[name]
     assert main([*required, *args]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.startswith("error: ") and error.count("\n") == 1
+    assert message in complaint()
     assert list(tmp_path.iterdir()) == []

@@ -156,7 +156,7 @@ def test_large_datasets_go_into_several_files(tmp_path: Path, monkeypatch: pytes
 def test_what_a_disk_loses_is_not_published(lost: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def finalize(self: EpisodeWriter) -> None:
         completed(self)
-        for path in self._meta.root.glob("data/*/*.parquet"):
+        for path in tmp_path.rglob("data/*/*.parquet"):
             if lost == "file":
                 path.unlink()
             elif lost == "end":

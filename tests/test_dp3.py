@@ -53,11 +53,16 @@ def test_training_looks_at_few_points_with_the_same_result_and_gradient(channels
     points[1, 100:] = points[1, 0]  # as where a cloud was filled up
     plain = net.final_projection(net.mlp(points).max(dim=1).values)
     wanted = torch.autograd.grad(plain.square().sum(), list(net.parameters()))
+    looked_at = []
+    watched = net.mlp.register_forward_pre_hook(lambda _, given: looked_at.append(given[0].shape[1]))
     found = net(points)
+    watched.remove()
     torch.testing.assert_close(found, plain)
     for ours, theirs in zip(torch.autograd.grad(found.square().sum(), list(net.parameters())), wanted, strict=True):
         torch.testing.assert_close(ours, theirs)
-    assert net._largest(points).shape[1] < 60
+    assert looked_at[0] == 200
+    assert looked_at[1] < 60  # with gradients
+    assert len(looked_at) == 2
     with torch.no_grad():
         torch.testing.assert_close(net(points), plain)
 
@@ -533,11 +538,12 @@ def test_weights_of_the_original_fit_by_their_names_and_act_alike(blocks: int):
     batch, noisy, step = windows(), torch.randn(4, 16, JOINTS), torch.tensor([0, 10, 50, 99])
     with torch.no_grad():
         features = original.obs_encoder(batch[CLOUD].flatten(0, 1), batch[OBS_STATE].flatten(0, 1)).reshape(4, -1)
-        condition = policy.model._prepare_global_conditioning(batch)
-        torch.testing.assert_close(condition, features)
-        torch.testing.assert_close(
-            policy.model.unet(noisy, step, global_cond=condition), original.model(noisy, step, features)
-        )
+        conditions = []
+        unet = policy.model.unet
+        unet.register_forward_pre_hook(lambda _, __, given: conditions.append(given["global_cond"]), with_kwargs=True)
+        policy.model.compute_loss(batch)
+        torch.testing.assert_close(conditions[0], features)
+        torch.testing.assert_close(unet(noisy, step, global_cond=features), original.model(noisy, step, features))
 
 
 def test_simple_dp3_is_the_originals_with_as_many_weights():

@@ -14,8 +14,9 @@ import numpy as np
 import older
 import pyarrow.parquet as pq
 import pytest
+from conversions import record_cubes
 
-from cei_converters import convert, record, replay, restore, view
+from cei_converters import convert, replay, restore, view
 from cei_converters.dataset import schema
 from cei_converters.dataset.columns import encode
 from cei_converters.dataset.decoding import decode_frames
@@ -124,8 +125,7 @@ class Made:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     folder = tmp_path_factory.mktemp("edited")
     panda, rich, a, b = (folder / name for name in ("panda", "rich", "a", "b"))
-    recording = [f"--env=CEI-PickCube-{SOURCE}", "--episodes=3", "--seed=0", "--repo_id=me/panda", f"--root={panda}"]
-    assert record.main(recording) == 0
+    record_cubes(panda, 3, 0)
     with_pictures(panda, rich)
     moving = ["--dataset.repo_id=me/rich", f"--dataset.root={rich}", f"--target={TARGET}", *FEW]
     assert convert.main([*moving, "--new_repo_id=me/a", f"--new_root={a}", "--episodes=0,2"]) == 0
@@ -473,26 +473,22 @@ def test_metadata_that_does_not_fit_is_not_believed(
 
 
 def test_a_record_of_another_episode_is_refused(
-    made: Made, copied: Callable[[str], Path], capsys: pytest.CaptureFixture, tmp_path: Path
+    made: Made, copied: Callable[[str], Path], complaint: Callable, tmp_path: Path
 ) -> None:
     root = copied("stats")
     lines = (root / RECORDS_PATH).read_text().splitlines()
     (root / RECORDS_PATH).write_text("\n".join(lines[::-1]) + "\n")
     options = ["--dataset.repo_id=me/stats", f"--dataset.root={root}", "--target=IIWA-Inspire", *FEW]
     assert convert.main([*options, "--dry_run"]) == 1
-    error = capsys.readouterr().err
-    assert f"line 1 of {root / RECORDS_PATH} is of another episode than episode 0" in error and error.count("\n") == 1
+    assert f"line 1 of {root / RECORDS_PATH} is of another episode than episode 0" in complaint()
 
 
-def test_metadata_of_another_dataset_is_refused(
-    made: Made, copied: Callable[[str], Path], capsys: pytest.CaptureFixture
-) -> None:
+def test_metadata_of_another_dataset_is_refused(made: Made, copied: Callable[[str], Path], complaint: Callable) -> None:
     root = copied("stats")
     metadata = Metadata.load(root)
     replace(metadata, clouds={**(metadata.clouds or {}), "tau_m": 0.1}).save(root)
     assert replay.main(["--dataset.repo_id=me/stats", f"--dataset.root={root}", "--video_episodes=0"]) == 1
-    error = capsys.readouterr().err
-    assert "meta/cei.json and meta/info.json disagree about clouds" in error and error.count("\n") == 1
+    assert "meta/cei.json and meta/info.json disagree about clouds" in complaint()
 
 
 def test_a_source_of_another_robot_is_refused(made: Made, capsys: pytest.CaptureFixture, tmp_path: Path) -> None:

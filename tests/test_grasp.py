@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import problem_of
 from scipy.optimize import linprog, minimize
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -58,12 +59,6 @@ CONTACT = ContactOptions(opposition_weight=1e3, turning_weight=1.0, carrying_wei
 REACHED, CLOSED, HELD, FRAMES = 16, 24, 28, 44
 SEEDS = st.integers(0, 2**31)
 ARM_OF = dict(zip(END_EFFECTORS, ("Kinova3", "IIWA", "Panda", "UR5e", "Panda"), strict=True))
-
-
-@cache
-def problem_of(name: str, points: int = 32) -> AlignmentProblem:
-    embodiment = load_embodiment(name)
-    return AlignmentProblem(sample_representation(embodiment, points), KinematicTree(embodiment))
 
 
 def root_of(embodiment: Embodiment) -> int:
@@ -317,6 +312,7 @@ def test_a_pad_touches_where_it_reaches_farthest(name: str, seed: int) -> None:
     """As deep as the farthest of all vertices of its mesh, and across among those that are about as far."""
     problem = problem_of(name)
     embodiment = problem.embodiment
+    # private: the pads as kernels take them, which no user needs
     target, grasp, _, _ = GraspRefiner(problem, OPTIONS, CONTACT)._arrays
     rng = np.random.default_rng(seed)
     u = random_joints(embodiment, seed)
@@ -632,6 +628,7 @@ def test_fingers_that_hold_do_not_give_way(name: str) -> None:
 def test_the_energys_gradient_is_its_finite_difference(name: str, seed: int) -> None:
     """With a single vertex a pad, so that contact points stay on their links, and a palm that is nearly as wished."""
     problem = problem_of(name)
+    # private: the pads as kernels take them, which no user needs
     target, grasp, _, _ = GraspRefiner(problem, OPTIONS, CONTACT)._arrays
     rng, pads = np.random.default_rng(seed), len(grasp.joint)
     grasp = grasp._replace(vertices=grasp.vertices[grasp.start[:-1]].copy(), start=np.arange(pads + 1))

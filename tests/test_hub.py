@@ -36,9 +36,9 @@ def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
 
 
 @pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("hub") / "source"
-    killed.write_source(root)
+def source(source: Path) -> Path:
+    """With a license, which its card says."""
+    root = source
     card = root / "README.md"
     card.write_text(card.read_text().replace("---\n", "---\nlicense: cc-by-4.0\n", 1))
     return root

@@ -150,25 +150,19 @@ def test_time_and_numbers_are_found(write: Write, capsys: pytest.CaptureFixture)
         values[75] = values[74]
         return values
 
-    root = write(motion(seed=1), motion())
-    column(root, "timestamp", swapped)
-    assert "episode 1, frame 11: its time stamp is 0.05 s before the last one's; frames are not in their order" in said(
-        capsys, root
-    )
-    root = write(motion(seed=1), motion())
-    column(root, "timestamp", same)
-    assert "episode 1, frame 15: its time stamp is the last one's (1 frames are repeated)" in said(capsys, root)
-    root = write(motion(seed=1), motion())
-    column(root, "frame_index", swapped)
-    assert "episode 1, frame 11: frame_index goes back from 11 to 10; frames are not in their order" in said(
-        capsys, root
-    )
-    root = write(motion(seed=1), motion())
-    column(root, "frame_index", same)
-    assert "episode 1, frame 15: frame_index is 14 again (1 frames are repeated)" in said(capsys, root)
-    root = write(motion(seed=1), motion())
-    column(root, "frame_index", lambda values: np.where(np.arange(len(values)) > 80, values + 5, values))
-    assert "episode 1, frame 21: frame_index leaps from 20 to 26; frames are missing" in said(capsys, root)
+    def ahead(values: np.ndarray) -> np.ndarray:
+        return np.where(np.arange(len(values)) > 80, values + 5, values)
+
+    for name, change, message in (
+        ("timestamp", swapped, "11: its time stamp is 0.05 s before the last one's; frames are not in their order"),
+        ("timestamp", same, "15: its time stamp is the last one's (1 frames are repeated)"),
+        ("frame_index", swapped, "11: frame_index goes back from 11 to 10; frames are not in their order"),
+        ("frame_index", same, "15: frame_index is 14 again (1 frames are repeated)"),
+        ("frame_index", ahead, "21: frame_index leaps from 20 to 26; frames are missing"),
+    ):
+        root = write(motion(seed=1), motion())
+        column(root, name, change)
+        assert f"episode 1, frame {message}" in said(capsys, root)
 
 
 # joints

@@ -9,12 +9,13 @@ from pathlib import Path
 import pytest
 import torch
 import warm
+from conversions import record_cubes
 from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
 from lerobot.policies.factory import make_policy, make_policy_config
 from lerobot.utils.feature_utils import dataset_to_policy_features
 from safetensors.torch import load_file
 
-from cei_converters import convert, record
+from cei_converters import convert
 
 DP3 = ("--policy.type=dp3", "--policy.down_dims=[16,32]", "--policy.points=64", "--policy.scheduler_warmup_steps=2")
 
@@ -35,8 +36,7 @@ def shell(script: str, *options: str, cwd: Path) -> subprocess.CompletedProcess[
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("policy")
     panda, few = folder / "panda", ("--init.starts=64", "--init.basins=2", "--clouds.points=128", "--workers=1")
-    source = ("--env=CEI-PickCube-Panda-PandaGripper", "--episodes=2", "--seed=0", "--repo_id=me/panda")
-    assert record.main([*source, f"--root={panda}"]) == 0
+    record_cubes(panda, 2, 0)
     moved = ("--dataset.repo_id=me/panda", f"--dataset.root={panda}", "--target=UR5e-FourierRight", *few)
     assert convert.main([*moved, "--new_repo_id=me/uncut", f"--new_root={folder / 'uncut'}"]) == 0
     edited = ("--new_repo_id=me/ur5e", f"--new_root={folder / 'ur5e'}", "--operation.type=delete_episodes")

@@ -1,6 +1,7 @@
 """The main job through the commands themselves: record, convert, replay, and what they leave behind."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from conversions import record_cubes
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.envs.factory import make_env_pre_post_processors
 
@@ -33,9 +35,7 @@ EPISODES = 2
 def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a recorded and a converted dataset, their JSON results, and a replay."""
     folder = tmp_path_factory.mktemp("job")
-    env = f"CEI-PickCube-{SOURCE}"
-    options = [f"--env={env}", f"--episodes={EPISODES}", "--seed=3", "--repo_id=me/source"]
-    assert record.main([*options, f"--root={folder / 'source'}", f"--json={folder / 'record.json'}"]) == 0
+    record_cubes(folder / "source", EPISODES, 3, f"--json={folder / 'record.json'}")
     assert convert.main([*source_options(folder), *target_options(folder), f"--json={folder / 'convert.json'}"]) == 0
     options = ["--dataset.repo_id=me/target", f"--dataset.root={folder / 'target'}", f"--json={folder / 'replay.json'}"]
     beside = ["--source.repo_id=me/source", f"--source.root={folder / 'source'}"]
@@ -117,10 +117,8 @@ def test_the_same_conversion_makes_the_same_dataset_with_any_number_of_workers(j
 @pytest.fixture(scope="module")
 def coloured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A demonstration seen by two noisy cameras, in colour."""
-    root = tmp_path_factory.mktemp("coloured") / "source"
-    seen = ["--colours", "--cameras=[front,left]", "--depth_noise=kinect"]
-    options = [f"--env=CEI-PickCube-{SOURCE}", "--episodes=1", "--seed=3", "--repo_id=me/coloured", f"--root={root}"]
-    assert record.main([*options, *seen]) == 0
+    root = tmp_path_factory.mktemp("colours") / "coloured"
+    record_cubes(root, 1, 3, "--colours", "--cameras=[front,left]", "--depth_noise=kinect")
     return root
 
 
@@ -210,9 +208,7 @@ def test_lerobots_environment_is_the_datasets_own(coloured: Path, clouds: list[s
         np.testing.assert_allclose(camera.T_world_camera, other.T_world_camera)
     wrapper = vector.envs[0].env
     assert isinstance(wrapper, CrossEmbodimentWrapper)
-    assert wrapper._synthesiser.options == CloudOptions(
-        **({"points": 300, "tau_m": 0.01, "colours": False} if clouds else {})
-    )
+    assert wrapper.clouds == CloudOptions(**({"points": 300, "tau_m": 0.01, "colours": False} if clouds else {}))
     vector.close()
     # Recorded clouds are the cameras' own, and so are those of an environment that is made like theirs.
     assert CEIEnvConfig(dataset=str(coloured)).augment is False
@@ -330,12 +326,10 @@ def test_a_dry_run_writes_nothing(job: Path, tmp_path: Path, capsys: pytest.Capt
     ],
 )
 def test_record_says_what_is_wrong_in_one_line(
-    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture
+    options: list[str], message: str, tmp_path: Path, complaint: Callable
 ) -> None:
     assert record.main([*options, f"--root={tmp_path / 'x'}"]) in (1, 2)
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+    assert message in complaint()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -8,9 +8,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import home, problem_of
 
 from cei_gym.alignment import (
-    AlignmentProblem,
     ClearanceOptions,
     InitialisationOptions,
     Motion,
@@ -25,10 +25,8 @@ from cei_gym.alignment.solvers.newton import NewtonSolver
 from cei_gym.alignment.solvers.newton_torch import TorchNewtonSolver
 from cei_gym.alignment.solvers.paper import PaperSolver
 from cei_gym.alignment.start.starts import find_basins
-from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
-from cei_gym.functional import directional_chamfer_distance, sample_representation
-from cei_gym.kinematics import KinematicTree
+from cei_gym.functional import directional_chamfer_distance
 
 NAMES = ("UR5e-FourierRight", "IIWA-Inspire", "Kinova3-FourierLeft", "Panda-RobotiqThreeFinger")
 OPTIONS = SolverOptions(device="cpu")
@@ -41,16 +39,6 @@ def _one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
-
-
-@cache
-def problem_of(name: str, points: int = 32) -> AlignmentProblem:
-    embodiment = load_embodiment(name)
-    return AlignmentProblem(sample_representation(embodiment, points), KinematicTree(embodiment))
-
-
-def home(problem: AlignmentProblem) -> np.ndarray:
-    return problem.embodiment.coupled.reduce(problem.embodiment.home)
 
 
 def panda_grasp(frames: int = 12, points: int = 32, lower_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

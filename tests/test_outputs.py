@@ -33,13 +33,6 @@ from cei_gym.errors import CEIError
 SOURCE, ROBOT = "me/pick", killed.ROBOT
 
 
-@pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("outputs") / "source"
-    killed.write_source(root)
-    return root
-
-
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder to work in."""

@@ -16,8 +16,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-import zarr
 from malformed import CALIBRATION, write_dataset, write_hand
+from other_formats import write_zarr
 from PIL import Image
 
 from cei_converters import convert, record
@@ -51,13 +51,9 @@ def write_hdf5(path: Path, last: float = 0.0) -> None:
             data[f"demo_{i}/actions"] = actions
 
 
-def write_zarr(root: Path) -> None:
-    group, qpos = zarr.open_group(root, mode="w", zarr_format=2), [killed.demonstration(i).qpos for i in range(2)]
-    for name, values in (
-        ("data/state", np.concatenate(qpos)[:, :8]),
-        ("meta/episode_ends", np.cumsum([*map(len, qpos)])),
-    ):
-        group.create_array(name, data=values)
+def write_demogen(root: Path) -> None:
+    qpos = [killed.demonstration(i).qpos for i in range(2)]
+    write_zarr(root, np.concatenate(qpos)[:, :8], [*np.cumsum([*map(len, qpos)])])
 
 
 def write_lerobot(root: Path) -> None:
@@ -78,7 +74,7 @@ def changed(path: Path) -> Iterator[None]:
         path.write_bytes(before)
 
 
-@pytest.mark.parametrize("write", [write_lerobot, write_zarr])
+@pytest.mark.parametrize("write", [write_lerobot, write_demogen])
 def test_a_folders_fingerprint_is_that_of_each_of_its_files(write: Callable[[Path], None], tmp_path: Path) -> None:
     root = tmp_path / "source"
     write(root)
@@ -200,7 +196,7 @@ def hdf5_job(folder: Path) -> Job:
 
 
 def zarr_job(folder: Path) -> Job:
-    write_zarr(folder / "source.zarr")
+    write_demogen(folder / "source.zarr")
     groups = [{"joints": "arm", "columns": {"start": 0, "end": 7}}, {"joints": ["finger_joint1"], "columns": ["7"]}]
     (folder / "map.yaml").write_text(yaml.safe_dump({"embodiment": ROBOT, "joints": groups, "fps": 20}))
     args = killed.arguments(folder / "source.zarr", folder / "out", f"--joint_map={folder / 'map.yaml'}")

@@ -1,6 +1,7 @@
 """The quality of episodes, the gate, and the picture of both."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,11 @@ from typing import Any
 import killed
 import numpy as np
 import pytest
+from conversions import records
 from PIL import Image
 
 from cei_converters import convert
 from cei_converters.conversion.gate import Gate
-from cei_converters.dataset.records import Records
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import AlignmentProblem, AlignmentReport, Track
 from cei_gym.alignment.judge.clearance import Clearance, Penetration
@@ -145,27 +146,14 @@ def test_gate() -> None:
     ],
 )
 def test_bad_bounds(
-    options: list[str], code: int, message: str, source: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+    options: list[str], code: int, message: str, source: Path, tmp_path: Path, complaint: Callable
 ) -> None:
     assert convert.main(killed.arguments(source, tmp_path / "out", *options)) == code
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+    assert message in complaint()
     assert list(tmp_path.iterdir()) == []
 
 
 # -- conversions ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("quality") / "source"
-    killed.write_source(root)
-    return root
-
-
-def records(root: Path) -> list[dict[str, Any]]:
-    return list(Records(root))
 
 
 @pytest.fixture(scope="module")

@@ -1,28 +1,19 @@
 """Why a target does not follow: each cause is made to happen, and is the one that is named, with its numbers."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
+from problems import problem_of
 
-from cei_gym.alignment import AlignmentProblem, ContactOptions, Motion, SolverOptions
+from cei_gym.alignment import ContactOptions, Motion, SolverOptions
 from cei_gym.alignment.contact.observed import source_grip
 from cei_gym.alignment.contact.pads import opposing_sides
 from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.judge.reach import Reach
-from cei_gym.embodiment import load_embodiment
 from cei_gym.embodiment.names import END_EFFECTOR_PREFIX
-from cei_gym.functional import sample_representation
-from cei_gym.kinematics import KinematicTree
 
 OPTIONS = SolverOptions()
-
-
-@cache
-def problem_of(name: str) -> AlignmentProblem:
-    embodiment = load_embodiment(name)
-    return AlignmentProblem(sample_representation(embodiment, 32), KinematicTree(embodiment))
 
 
 def motion_of(name: str, frames: int = 4, wide: float = 1.0) -> Motion:

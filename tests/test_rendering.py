@@ -139,6 +139,7 @@ def lift():
         use_camera_obs=False,
         hard_reset=False,
     )
+    # private: MuJoCo's own, which robosuite wraps and gives no other name
     yield env.sim.model._model, env.sim.data._data
     env.close()
 

@@ -1,7 +1,6 @@
 """Conversions that are interrupted, and go on."""
 
 import contextlib
-import json
 import multiprocessing
 import os
 import re
@@ -16,21 +15,14 @@ from typing import Any
 
 import killed
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
+from conversions import same
 
 from cei_converters import convert
 from cei_converters.dataset.provenance import fingerprint
 
 KILLS = 8
 """One of each stage."""
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("resume") / "source"
-    killed.write_source(root)
-    return root
 
 
 @pytest.fixture(scope="module")
@@ -60,24 +52,6 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[list[s
         patch.setenv("PYTHONPATH", os.pathsep.join(folders))  # the server's own, for its preloads
         start(["--help"]).join()
         yield start
-
-
-def same(one: Path, other: Path) -> None:
-    """Whether datasets are the same but for when and how they were made."""
-    files = [sorted(p.relative_to(root) for p in root.rglob("*") if p.is_file()) for root in (one, other)]
-    assert files[0] == files[1]
-    for file in files[0]:
-        a, b = one / file, other / file
-        if file.suffix == ".parquet":
-            assert pq.read_table(a).equals(pq.read_table(b)), file
-        elif file.suffix == ".json":
-            contents = [json.loads(path.read_text()) for path in (a, b)]
-            for content in contents:
-                for name in ("date", "command"):
-                    content.get("provenance", {}).pop(name, None)
-            assert contents[0] == contents[1], file
-        elif file.suffix == ".png":
-            assert a.read_bytes() == b.read_bytes(), file
 
 
 def siblings(root: Path) -> list[str]:

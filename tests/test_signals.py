@@ -28,13 +28,6 @@ RESTORED = ("README.md", "meta/cei.json", "meta/cei_episodes.jsonl")
 """What `cei-restore` adds; a signal that comes while it moves them waits until they are all there."""
 
 
-@pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("signals") / "source"
-    killed.write_source(root)
-    return root
-
-
 def command(name: str) -> list[str]:
     """A command as installers write it."""
     module, _, function = SCRIPTS[name].partition(":")

@@ -12,50 +12,19 @@ import numpy as np
 import pytest
 import yaml
 import zarr
+from other_formats import BODY, ROBOT, path_of, told, write_zarr
 
 from cei_converters.sources.formats import open_source
 from cei_converters.sources.joint_map import load_joint_map
-from cei_gym.embodiment import load_embodiment
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
 from cei_gym.kinematics.inverse import follow_link
 from cei_gym.pointcloud.mask import RobotMask
 
-ROBOT = "Panda-PandaGripper"
-BODY = load_embodiment(ROBOT)
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SHARED = Path(__file__).parents[2] / "shared/datasets"
 EGG = SHARED / "demogen_egg.zarr"
-
-
-def path_of(frames: int, seed: int = 0) -> np.ndarray:
-    """(T, n) a random walk around home."""
-    steps = np.random.default_rng(seed).normal(0, 0.02, (frames, len(BODY.coupled.independent)))
-    u = BODY.coupled.reduce(BODY.home) + np.cumsum(steps, axis=0)
-    return BODY.coupled.expand(np.clip(u, *BODY.independent_limits))
-
-
-def told(qpos: np.ndarray) -> np.ndarray:
-    """(T,) robosuite's command to a gripper that moves like this: -1 to open, 1 to close."""
-    return np.where(np.append(np.diff(qpos[:, 7]), 0) < 0, 1.0, -1.0)
-
-
-@pytest.fixture
-def robomimic(tmp_path: Path) -> Path:
-    path = tmp_path / "demo.hdf5"
-    with h5py.File(path, "w") as file:
-        data = file.create_group("data")
-        data.attrs["env_args"] = json.dumps(
-            {"env_name": "Lift", "env_kwargs": {"control_freq": 20, "robots": ["Panda"]}}
-        )
-        for i in (0, 2, 10):
-            qpos, obs = path_of(6 + i, seed=i), data.create_group(f"demo_{i}/obs")
-            obs["robot0_joint_pos"], obs["robot0_gripper_qpos"] = qpos[:, :7], qpos[:, 7:]
-            data[f"demo_{i}/actions"] = np.column_stack([np.zeros((len(qpos), 6)), told(qpos)])
-            obs["object"] = np.full((len(qpos), 3), float(i))
-            obs["agentview_image"] = np.zeros((len(qpos), 4, 4, 3), np.uint8)
-    return path
 
 
 def test_robomimic_is_read_and_converted(robomimic: Path, tmp_path: Path) -> None:
@@ -110,12 +79,6 @@ def test_robomimic_of_another_robot_another_file_or_none_is_refused(robomimic: P
     robomimic.write_bytes(robomimic.read_bytes()[:1000])
     with pytest.raises(CEIError, match="cannot be read as HDF5"):
         open_source("lab/lift", robomimic, embodiment=ROBOT)
-
-
-def write_zarr(root: Path, state: np.ndarray, ends: list[int], **more: np.ndarray) -> None:
-    group = zarr.open_group(root, mode="w", zarr_format=2)
-    for name, values in {"data/state": state, "meta/episode_ends": np.array(ends), **more}.items():
-        group.create_array(name, data=values)
 
 
 POSE = """
@@ -213,66 +176,6 @@ def test_the_eggs_joint_map_is_the_one_that_puts_the_robot_where_its_points_are(
     shares = sorted(share(pose) for pose in others if pose != mapped.pose)
     assert ours > 0.7
     assert shares[-1] < ours - 0.15, shares
-
-
-@pytest.fixture(scope="module")
-def v21(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A v2.1 dataset, by hand: what LeRobot 0.1 to 0.3 wrote."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from cei_converters.dataset.schema import joint_feature_names
-
-    root = tmp_path_factory.mktemp("old") / "pick"
-    (root / "meta").mkdir(parents=True)
-    names, start = joint_feature_names(BODY), 0
-    feature = {"dtype": "float32", "shape": [9], "names": names}
-    own = {
-        key: {"dtype": "int64", "shape": [1], "names": None}
-        for key in ("frame_index", "episode_index", "index", "task_index")
-    }
-    features = {
-        "observation.state": feature,
-        "action": feature,
-        "timestamp": {"dtype": "float32", "shape": [1], "names": None},
-    }
-    for index in range(3):
-        qpos = path_of(6 + index, seed=index).astype(np.float32)
-        column = pa.FixedSizeListArray.from_arrays(pa.array(qpos.ravel()), 9)
-        count = np.arange(len(qpos))
-        table = {
-            "observation.state": column,
-            "action": column,
-            "timestamp": pa.array((count / 20).astype(np.float32)),
-            "frame_index": count,
-            "episode_index": np.full(len(qpos), index),
-            "index": start + count,
-            "task_index": np.zeros(len(qpos), int),
-        }
-        start += len(qpos)
-        path = root / f"data/chunk-000/episode_{index:06d}.parquet"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(pa.table(table), path)
-        with (root / "meta/episodes.jsonl").open("a") as file:
-            file.write(json.dumps({"episode_index": index, "tasks": ["pick"], "length": len(qpos)}) + "\n")
-    (root / "meta/tasks.jsonl").write_text(json.dumps({"task_index": 0, "task": "pick"}) + "\n")
-    info = {
-        "codebase_version": "v2.0",
-        "robot_type": "panda",
-        "total_episodes": 3,
-        "total_frames": start,
-        "total_tasks": 1,
-        "total_videos": 0,
-        "total_chunks": 1,
-        "chunks_size": 1000,
-        "fps": 20,
-        "splits": {"train": "0:3"},
-        "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
-        "video_path": None,
-        "features": features | own,
-    }
-    (root / "meta/info.json").write_text(json.dumps(info))
-    return root
 
 
 def test_older_formats_are_read_as_they_are_and_left_alone(

@@ -1,34 +1,22 @@
 """Where frame 0 starts: multi-start, elite means, given joints, whole turns, and several modes."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import home, problem_of
 
-from cei_gym.alignment import AlignmentProblem, InitialisationOptions, Motion, SolverOptions, make_solver
+from cei_gym.alignment import InitialisationOptions, Motion, SolverOptions, make_solver
 from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.solvers.newton import NewtonSolver
 from cei_gym.alignment.start.basins import Basin, choose_modes, judge_basins
 from cei_gym.alignment.start.starts import elite_starts, find_basins, random_starts, unwrap
-from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
-from cei_gym.functional import directional_chamfer_distance, sample_representation
-from cei_gym.kinematics import KinematicTree
+from cei_gym.functional import directional_chamfer_distance
 
 OPTIONS = SolverOptions()
-
-
-@cache
-def problem_of(name: str, points: int = 32) -> AlignmentProblem:
-    embodiment = load_embodiment(name)
-    return AlignmentProblem(sample_representation(embodiment, points), KinematicTree(embodiment))
-
-
-def home(problem: AlignmentProblem) -> np.ndarray:
-    return problem.embodiment.coupled.reduce(problem.embodiment.home)
 
 
 def panda_frame(seed: int) -> tuple[np.ndarray, np.ndarray]:

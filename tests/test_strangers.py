@@ -8,7 +8,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-import test_sources
 import yaml
 import zarr
 
@@ -26,7 +25,6 @@ from lerobot_policy_dp3.clouds import bounds_of
 ROBOT = "Panda-PandaGripper"
 BODY = load_embodiment(ROBOT)
 SCENE = Scene(np.eye(4), (), np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]]))
-robomimic, v21 = test_sources.robomimic, test_sources.v21  # fixtures
 
 
 def write(root: Path, *lengths: int, fps: float = 20.0) -> Path:

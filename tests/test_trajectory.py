@@ -9,9 +9,9 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import home, problem_of
 
 from cei_gym.alignment import (
-    AlignmentProblem,
     ClearanceOptions,
     InitialisationOptions,
     Motion,
@@ -27,18 +27,10 @@ from cei_gym.alignment.kernels.target import load_source, make_target
 from cei_gym.alignment.links import LinkShapes, collision_constraint, idle_bodies, link_shapes, pack_obstacles
 from cei_gym.alignment.start.starts import find_basins
 from cei_gym.embodiment import load_embodiment
-from cei_gym.functional import sample_representation
-from cei_gym.kinematics import KinematicTree
 from cei_gym.kinematics.joints import reduce_to_joints
 
 OPTIONS = SolverOptions()
 DT_S = 0.05
-
-
-@cache
-def problem_of(name: str, points: int = 32) -> AlignmentProblem:
-    embodiment = load_embodiment(name)
-    return AlignmentProblem(sample_representation(embodiment, points), KinematicTree(embodiment))
 
 
 @cache
@@ -49,10 +41,6 @@ def follower_of(name: str, clearance: ClearanceOptions) -> Follower:
 @cache
 def shapes_of(name: str) -> LinkShapes:
     return link_shapes(load_embodiment(name))
-
-
-def home(problem: AlignmentProblem) -> np.ndarray:
-    return problem.embodiment.coupled.reduce(problem.embodiment.home)
 
 
 def reach(frames: int = 40, lower_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import older
 import pytest
+from conversions import record_cubes, records
 
-from cei_converters import convert, record, replay
+from cei_converters import convert, replay
 from cei_converters.conversion import verify
 from cei_converters.conversion.verify import Verifier, VerifyOptions
-from cei_converters.dataset.records import Records
 from cei_converters.simulation.stage import Stage
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import InitialisationOptions
@@ -60,8 +60,7 @@ def never(_: FakeStage) -> bool:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Holds `source`, a recorded dataset of two episodes."""
     folder = tmp_path_factory.mktemp("verify")
-    options = [f"--env=CEI-PickCube-{SOURCE}", "--episodes=2", "--seed=3", "--repo_id=me/source"]
-    assert record.main([*options, f"--root={folder / 'source'}"]) == 0
+    record_cubes(folder / "source", 2, 3)
     return folder
 
 
@@ -85,10 +84,6 @@ def converted(folder: Path, root: Path, *options: str) -> int:
 
 def result(root: Path) -> dict[str, Any]:
     return json.loads(root.with_suffix(".json").read_text())
-
-
-def records(root: Path) -> list[dict[str, Any]]:
-    return list(Records(root))
 
 
 # -- what there is to try ------------------------------------------------------------------------------------------------
@@ -258,15 +253,13 @@ def test_what_never_succeeds_is_kept_plain_or_dropped(
 
 
 def test_nothing_is_left_behind_where_all_are_dropped(
-    folder: Path, tmp_path: Path, use: Use, capsys: pytest.CaptureFixture
+    folder: Path, tmp_path: Path, use: Use, complaint: Callable
 ) -> None:
     use(never)
     assert (
         converted(folder, tmp_path / "target", "--verify", "--verify.attempts=1", "--verify.drop", "--episodes=1") == 1
     )
-    error = capsys.readouterr().err
-    assert "no episode of 1 succeeds" in error
-    assert error.count("\n") == 1
+    assert "no episode of 1 succeeds" in complaint()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -309,12 +302,10 @@ def test_verification_in_physics_agrees_with_a_replay_of_the_dataset(folder: Pat
     ],
 )
 def test_bad_options_are_refused_in_one_line(
-    options: list[str], code: int, message: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+    options: list[str], code: int, message: str, folder: Path, tmp_path: Path, complaint: Callable
 ) -> None:
     assert converted(folder, tmp_path / "target", *options) == code
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+    assert message in complaint()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -3,15 +3,17 @@
 import json
 import shutil
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from conversions import record_cubes
 from PIL import Image
 
-from cei_converters import convert, record
+from cei_converters import convert
 from cei_converters import view as cei_view
 from cei_converters.dataset.records import RECORDS_PATH, Records
 from cei_converters.dataset.writer import DatasetWriter
@@ -30,8 +32,7 @@ SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
 def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a recorded episode, the same converted for a slower robot, and both shown."""
     folder = tmp_path_factory.mktemp("job")
-    env = [f"--env=CEI-PickCube-{SOURCE}", "--episodes=1"]
-    assert record.main([*env, "--repo_id=me/source", f"--root={folder / 'source'}"]) == 0
+    record_cubes(folder / "source", 1, 0)
     converted = [f"--target={TARGET}", "--new_repo_id=me/target", f"--new_root={folder / 'target'}"]
     quick = ["--init.starts=16", "--init.basins=1", "--solver.velocity_scale=0.5"]
     assert convert.main([*dataset(folder / "source"), *converted, *quick]) == 0
@@ -257,7 +258,7 @@ def test_bad_input_gives_one_line_and_leaves_nothing(
     alone: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
+    complaint: Callable,
 ) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
@@ -267,10 +268,7 @@ def test_bad_input_gives_one_line_and_leaves_nothing(
     filled = [option.format(**paths) for option in options]
     given = [] if any(option.startswith("--dataset.root") for option in filled) else dataset(job / "target")
     assert cei_view.main([*(given or ["--dataset.repo_id=me/target"]), *filled]) == 1
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.startswith("error: ")
-    assert error.count("\n") == 1
+    assert message in complaint()
     assert (sorted(tmp_path.rglob("*")), (job / "view.rrd").read_bytes()) == before
 
 

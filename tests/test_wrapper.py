@@ -39,10 +39,10 @@ class Puppet(gym.Env, gym.utils.EzPickle):
         T = np.eye(4)
         T[:3, 3] = [0.1, -0.05, 0.02]
         self.scene = Scene(T, (), WORKSPACE)
-        self._tree = KinematicTree(self.embodiment)
-        self._surface = SurfaceSampler(visual_link_meshes(self.embodiment.model), SEEN - 500, seed=5)
+        self.tree = KinematicTree(self.embodiment)
+        self.surface = SurfaceSampler(visual_link_meshes(self.embodiment.model), SEEN - 500, seed=5)
         ball = np.random.default_rng(0).normal(size=(500, 3))
-        self._ball = 0.03 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [0.6, 0.2, 0.1]
+        self.ball = 0.03 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [0.6, 0.2, 0.1]
         self.blocked: np.ndarray | None = None
         n, box = len(self.embodiment.home), gym.spaces.Box
         self.action_space = box(self.embodiment.lower.astype(np.float32), self.embodiment.upper.astype(np.float32))
@@ -55,21 +55,21 @@ class Puppet(gym.Env, gym.utils.EzPickle):
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        self._qpos = np.asarray((options or {}).get("agent_pos", self.embodiment.home), float)
-        return self._observation(), {}
+        self.qpos = np.asarray((options or {}).get("agent_pos", self.embodiment.home), float)
+        return self.observe(), {}
 
     def step(self, action):
         told = np.asarray(action, float)
-        self._qpos = told if self.blocked is None else np.where(self.blocked, self._qpos, told)
-        return self._observation(), 0.0, False, False, {}
+        self.qpos = told if self.blocked is None else np.where(self.blocked, self.qpos, told)
+        return self.observe(), 0.0, False, False, {}
 
     def render(self):
         return np.zeros((48, 64, 3), np.uint8)
 
-    def _observation(self):
-        robot = self._surface(self.scene.T_world_base @ self._tree.forward(self._qpos))
-        cloud = np.concatenate([robot, self._ball]).astype(np.float32)
-        return {"agent_pos": self._qpos.astype(np.float32), "point_cloud": cloud}
+    def observe(self):
+        robot = self.surface(self.scene.T_world_base @ self.tree.forward(self.qpos))
+        cloud = np.concatenate([robot, self.ball]).astype(np.float32)
+        return {"agent_pos": self.qpos.astype(np.float32), "point_cloud": cloud}
 
 
 gym.register("test/Puppet-v0", Puppet)
@@ -109,19 +109,19 @@ def wander(embodiment: Embodiment, steps: int, seed: int = 0) -> np.ndarray:
 
 
 def test_a_cloud_is_bit_for_bit_the_converters() -> None:
+    """Where the robot stands as the converter has it stand."""
     env = Puppet()
+    recorded = [env.reset()[0], *(env.step(action)[0] for action in wander(env.embodiment, 4))]
+    qpos = np.array([o["agent_pos"] for o in recorded], float)
+    clouds = np.stack([o["point_cloud"] for o in recorded])
+    demonstration = Demonstration(UR5E, 20.0, qpos, qpos, env.scene, point_cloud_world=clouds)
+    converted, _ = Transfer(env.embodiment, env.embodiment)(demonstration)
+    assert converted.point_cloud_world is not None
     wrapped = CrossEmbodimentWrapper(env)
-    raw, shown = [], [wrapped.reset()[0]]
-    raw.append(env._observation())
-    for action in wander(env.embodiment, 4):
-        shown.append(wrapped.step(action)[0])
-        raw.append(env._observation())
-    qpos = np.array([o["agent_pos"] for o in raw], float)
-    recorded = np.stack([o["point_cloud"] for o in raw])
-    demonstration = Demonstration(UR5E, 20.0, qpos, qpos, env.scene, point_cloud_world=recorded)
-    converter = Transfer(env.embodiment, env.embodiment)
-    converted = converter._clouds(demonstration, converter._scenes(demonstration), qpos)
-    np.testing.assert_array_equal(np.stack([o["point_cloud"] for o in shown]), converted)
+    shown = [wrapped.reset(options={"agent_pos": converted.qpos[0]})[0]]
+    shown += [wrapped.step(q)[0] for q in converted.qpos[1:]]
+    np.testing.assert_array_equal(np.stack([o["agent_pos"] for o in shown]), converted.qpos)
+    np.testing.assert_array_equal(np.stack([o["point_cloud"] for o in shown]), converted.point_cloud_world)
 
 
 def test_colours_are_shown_or_left_out() -> None:
@@ -132,8 +132,8 @@ def test_colours_are_shown_or_left_out() -> None:
             spaces["point_cloud"] = gym.spaces.Box(-np.inf, np.inf, (SEEN, 6), np.float32)
             self.observation_space = gym.spaces.Dict(spaces)
 
-        def _observation(self):
-            observation = super()._observation()
+        def observe(self):
+            observation = super().observe()
             green = np.tile(np.array([0, 1, 0], np.float32), (SEEN, 1))
             return observation | {"point_cloud": np.concatenate([observation["point_cloud"], green], axis=1)}
 
@@ -151,7 +151,7 @@ def test_colours_are_shown_or_left_out() -> None:
 def test_the_whole_robot_is_shown_and_the_scene_stays() -> None:
     env = Puppet()
     cloud = CrossEmbodimentWrapper(env).reset()[0]["point_cloud"].astype(float)
-    on_robot = near(UR5E, cloud, env._qpos, env.scene, 1e-4)
+    on_robot = near(UR5E, cloud, env.qpos, env.scene, 1e-4)
     on_ball = np.abs(np.linalg.norm(cloud - [0.6, 0.2, 0.1], axis=1) - 0.03) < 1e-5
     assert (on_robot ^ on_ball).all()
     assert on_ball.sum() > 5
@@ -167,8 +167,8 @@ def test_spaces_are_declared_and_kept() -> None:
 @pytest.mark.parametrize("kind", ["empty", "nan", "far"])
 def test_clouds_may_hold_anything(kind: str) -> None:
     class Strange(Puppet):
-        def _observation(self):
-            observation = super()._observation()
+        def observe(self):
+            observation = super().observe()
             cloud = observation["point_cloud"]
             if kind == "far":
                 cloud += 100
@@ -179,7 +179,7 @@ def test_clouds_may_hold_anything(kind: str) -> None:
     env = Strange()
     cloud = CrossEmbodimentWrapper(env).reset()[0]["point_cloud"].astype(float)
     assert np.isfinite(cloud).all()
-    on_robot = near(UR5E, cloud, env._qpos, env.scene, 1e-4)
+    on_robot = near(UR5E, cloud, env.qpos, env.scene, 1e-4)
     assert on_robot.all() == (kind != "nan")  # the ball is in the half that was seen
 
 
@@ -197,18 +197,20 @@ def test_the_shown_robot_stands_where_the_other_acts(actor: CrossEmbodimentWrapp
     assert actor.embodiment.name == PANDA
 
 
-def test_where_the_actor_follows_the_shown_robot_is_where_it_was_told(actor: CrossEmbodimentWrapper) -> None:
+def test_where_the_actor_follows_the_shown_robot_is_where_it_was_told(
+    actor: CrossEmbodimentWrapper, fitted: Transfer
+) -> None:
     actor.reset()
-    transfer, env = actor._impersonation._transfer, actor.unwrapped
+    env = actor.unwrapped
     for action in wander(load_embodiment(PANDA), 15):
         observation, *_ = actor.step(action)
         np.testing.assert_allclose(observation["agent_pos"], action, atol=2e-3)
-        wanted, _ = transfer.place_source(action, np.eye(4))
-        pads, _ = transfer.problem.place(env.embodiment.coupled.reduce(env._qpos))
+        wanted, _ = fitted.place_source(action, np.eye(4))
+        pads, _ = fitted.problem.place(env.embodiment.coupled.reduce(env.qpos))
         assert np.linalg.norm(wanted.mean(axis=0) - pads.mean(axis=0)) < 0.02
 
 
-def test_an_arm_that_is_held_back_shows(actor: CrossEmbodimentWrapper) -> None:
+def test_an_arm_that_is_held_back_shows(actor: CrossEmbodimentWrapper, fitted: Transfer) -> None:
     actor.reset()
     way = wander(load_embodiment(PANDA), 10, seed=1)
     env = actor.unwrapped
@@ -218,9 +220,8 @@ def test_an_arm_that_is_held_back_shows(actor: CrossEmbodimentWrapper) -> None:
             shown = actor.step(action)[0]["agent_pos"]
     finally:
         env.blocked = None
-    transfer = actor._impersonation._transfer
-    pads, _ = transfer.problem.place(env.embodiment.coupled.reduce(env._qpos))
-    told, is_ = (transfer.place_source(q.astype(float), np.eye(4))[0].mean(axis=0) for q in (way[-1], shown))
+    pads, _ = fitted.problem.place(env.embodiment.coupled.reduce(env.qpos))
+    told, is_ = (fitted.place_source(q.astype(float), np.eye(4))[0].mean(axis=0) for q in (way[-1], shown))
     assert np.linalg.norm(told - pads.mean(axis=0)) > 0.06
     assert np.linalg.norm(is_ - pads.mean(axis=0)) < 0.02
 
@@ -259,13 +260,13 @@ def test_without_a_start_option_the_shown_robot_comes_to_where_the_actor_is(fitt
     actor = CrossEmbodimentWrapper(Puppet(), impersonate=fitted, start_option=None)
     observation, _ = actor.reset()
     env = actor.unwrapped
-    np.testing.assert_array_equal(env._qpos, env.embodiment.home)
-    shown, _ = actor._impersonation._transfer.place_source(observation["agent_pos"].astype(float), np.eye(4))
-    pads, _ = actor._impersonation._transfer.problem.place(env.embodiment.coupled.reduce(env._qpos))
+    np.testing.assert_array_equal(env.qpos, env.embodiment.home)
+    shown, _ = fitted.place_source(observation["agent_pos"].astype(float), np.eye(4))
+    pads, _ = fitted.problem.place(env.embodiment.coupled.reduce(env.qpos))
     assert np.linalg.norm(shown.mean(axis=0) - pads.mean(axis=0)) < 0.02
-    before = env._qpos.copy()
+    before = env.qpos.copy()
     actor.step(observation["agent_pos"])  # to stay
-    assert np.abs(env._qpos - before)[: env.embodiment.n_arm].max() < 0.2
+    assert np.abs(env.qpos - before)[: env.embodiment.n_arm].max() < 0.2
 
 
 # -- as a wrapper among others -----------------------------------------------------------------------------------

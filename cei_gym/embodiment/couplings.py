@@ -167,7 +167,7 @@ def _roles(relation: _Relation, free: list[str], couplings: dict[str, Coupling],
 def _about_tendons(
     spec: mujoco.MjSpec, names: set[str], tied: set[str], couplings: Mapping[str, Coupling]
 ) -> list[str]:
-    notes = []
+    notes: list[str] = []
     for tendon in spec.tendons:
         joints = list(_tendon_weights(tendon))
         if joints and not names.issuperset(joints):

@@ -50,7 +50,7 @@ class Document:
             )
         if folder != self._place.path.parent:
             self._folders[parent] = folder
-        children = []
+        children: list[Element] = []
         for child in list(parent):
             if child.tag == "include":
                 content, where = self._included(child, folder)

@@ -137,7 +137,7 @@ def packages_beside(yaml_folder: Path, folders: Iterable[str]) -> tuple[Path, ..
     Raises:
         CEIError: one is no folder, or lies elsewhere.
     """
-    found = []
+    found: list[Path] = []
     for folder in folders:
         path = _existing(str(yaml_folder / folder), "package_path")
         if not path.is_relative_to(yaml_folder.resolve()):
@@ -220,7 +220,7 @@ def _walk(folders: Iterable[Path]) -> Iterator[Path]:
     """Folders and those in them, the nearest first, not into packages."""
     level, count = list(folders), 0
     for _ in range(_DEEPEST + 1):
-        deeper = []
+        deeper: list[Path] = []
         for folder in level:
             yield folder
             count += 1

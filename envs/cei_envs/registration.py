@@ -24,7 +24,7 @@ class Task:
 
     name: str
     environment: str
-    experts: Mapping[str, str] = field(default_factory=dict)
+    experts: Mapping[str, str] = field(default_factory=dict[str, str])
     max_episode_steps: int = 400
 
 
@@ -83,7 +83,7 @@ def register() -> None:
     for name in environment_ids():
         if name not in gym.registry:
             _, task, robot = name.split("-", 2)
-            gym.register(
+            gym.register(  # pyright: ignore[reportUnknownMemberType]  (Gymnasium does not say of what its `kwargs` are)
                 name,
                 known[task].environment,
                 max_episode_steps=known[task].max_episode_steps,

@@ -3,12 +3,11 @@
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
-import numpy as np
-
 from cei_envs.simulation import Simulation
+from cei_gym.arrays import Array
 from cei_gym.errors import unknown
 
-SENSORS: Mapping[str, Callable[[Simulation], np.ndarray]] = MappingProxyType({"wrench": lambda it: it.wrench})
+SENSORS: Mapping[str, Callable[[Simulation], Array]] = MappingProxyType({"wrench": lambda it: it.wrench})
 """Channel of `cei_gym.demonstration.Demonstration` to what measures it."""
 
 

@@ -10,6 +10,7 @@ from robosuite.controllers import load_composite_controller_config
 from robosuite.controllers.composite.composite_controller import CompositeController, register_composite_controller
 
 from cei_envs.gripper import register_gripper, require_absolute_control
+from cei_gym.arrays import Array
 from cei_gym.embodiment import ArmSpec, Embodiment
 from cei_gym.errors import CEIError
 
@@ -98,7 +99,7 @@ class Simulation:
         return self.data.qpos[self._qpos_address].copy()
 
     @property
-    def wrench(self) -> np.ndarray:
+    def wrench(self) -> Array:
         """(6,) force, N, and torque, N m, between arm and end-effector, in the frame of robosuite's sensor there."""
         return np.concatenate([self.data.sensor(f"{self._hand}{kind}_ee").data for kind in ("force", "torque")])
 

@@ -2,14 +2,14 @@
 
 import multiprocessing
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 
 PRELOADED = ["cei_envs.rollout", "cei_envs.environment", "cei_envs.simulation"]
 
 
 @contextmanager
-def quick_start() -> Iterator[None]:
+def quick_start() -> Generator[None]:
     """Within, new processes import what environments need, once, and not the program that starts them.
 
     `multiprocessing` would import `lerobot-eval`, and with it all of LeRobot, in which nothing is for them.

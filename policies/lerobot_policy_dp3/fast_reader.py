@@ -41,7 +41,7 @@ class FastReader(DatasetReader):
 
     def get_item(self, idx: int) -> dict:
         """One frame, with its windows; see LeRobot's."""
-        columns = self._columns
+        columns = self.columns
         if columns is None:
             return super().get_item(idx)
         idx = range(len(self._table))[idx]  # from the end, and out of range, as LeRobot's
@@ -82,7 +82,7 @@ class FastReader(DatasetReader):
         return query, padding
 
     def _get_query_timestamps(self, current_ts: float, query_indices=None) -> dict[str, list[float]]:
-        query, columns = query_indices or {}, self._columns
+        query, columns = query_indices or {}, self.columns
         if columns is None:
             return super()._get_query_timestamps(current_ts, query_indices)
         return {
@@ -107,8 +107,9 @@ class FastReader(DatasetReader):
         return np.array([self._absolute_to_relative_idx[int(row)] for row in rows])
 
     @cached_property
-    def _columns(self) -> "dict[str, Column] | None":
-        """The columns of numbers; None where rows are not in the table's order, or the usual ones are missing."""
+    def columns(self) -> "dict[str, Column] | None":
+        """The columns that are read fast, by key: those of numbers. None where LeRobot reads all: rows are not in the table's order, or a
+        column that every dataset has is missing."""
         if self.hf_dataset is None or self._table._indices is not None:
             return None
         columns = {key: column_of(self._table, key) for key in self._table.column_names}
@@ -118,7 +119,7 @@ class FastReader(DatasetReader):
     @cached_property
     def _others(self) -> datasets.Dataset | None:
         """The rest of the table, decoded as LeRobot does; None if there is none."""
-        rest = [key for key in self._table.column_names if key not in (self._columns or {})]
+        rest = [key for key in self._table.column_names if key not in (self.columns or {})]
         return self._table.select_columns(rest).with_transform(hf_transform_to_torch) if rest else None
 
     @property
@@ -142,7 +143,7 @@ class FastReader(DatasetReader):
         return list(self._meta.tasks.index)
 
     def __getstate__(self) -> dict:
-        lazy = ("_columns", "_others", "_bounds", "_deltas", "_task_names")  # views, which workers make for themselves
+        lazy = ("columns", "_others", "_bounds", "_deltas", "_task_names")  # views, which workers make for themselves
         return {key: value for key, value in self.__dict__.items() if key not in lazy}
 
 

@@ -120,7 +120,8 @@ class Block:
 
 def documents(checkout: Path) -> list[str]:
     """All of them, the README first: it makes what the others start from."""
-    folders = [p for p in checkout.iterdir() if p.is_dir() and p.name not in NOT_OURS and not p.name.startswith(".")]
+    folders = [p for p in checkout.iterdir() if p.is_dir() and p.name not in NOT_OURS and p.name[0] != "."]
+    folders.append(checkout / ".github")
     found = {*checkout.glob("*.md"), *(path for folder in folders for path in folder.rglob("*.md"))}
     return sorted((p.relative_to(checkout).as_posix() for p in found), key=lambda name: (name != "README.md", name))
 

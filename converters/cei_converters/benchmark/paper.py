@@ -2,7 +2,7 @@
 
 from cei_gym.embodiment import ARMS
 
-REPLAY = {
+REPLAY: dict[str, dict[str, dict[str, int]]] = {
     "OpenDrawer": {
         "FourierRight": dict(zip(ARMS, (100, 100, 100, 100), strict=True)),
         "Inspire": dict(zip(ARMS, (91, 87, 87, 84), strict=True)),

@@ -9,7 +9,7 @@ import contextlib
 import os
 import socket
 import stat
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -133,7 +133,7 @@ class Output:
         return str(self.path)
 
     @contextlib.contextmanager
-    def whole(self) -> Iterator[Path]:
+    def whole(self) -> Generator[Path]:
         """A hidden sibling to write to: it becomes the file when the block ends well, and is removed if it does not.
 
         Raises:

@@ -1,7 +1,7 @@
 """One progress bar for every command: what, how many, time spent and left; silent where there is no terminal."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Generator
 
 from rich.console import Console
 from rich.progress import (
@@ -17,7 +17,7 @@ from cei_converters import signals
 
 
 @contextlib.contextmanager
-def progress_bar(unit: str) -> Iterator[Progress]:
+def progress_bar(unit: str) -> Generator[Progress]:
     """A progress bar that counts `unit`s. However the block ends, the terminal has its cursor back."""
     console = Console(stderr=True)
     columns = (

@@ -1,7 +1,8 @@
 """Tables on the terminal."""
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, cast
 
 # a pipe has no width; wide enough for every column on one line
 PIPE_WIDTH = 180
@@ -26,7 +27,7 @@ def print_table(entries: list[dict[str, Any]], title: str) -> None:
 
 def _cell(value: object) -> str:
     if isinstance(value, (list, tuple)):
-        return str(len(value)) if value else "-"
+        return str(len(cast(Sequence[object], value))) if value else "-"
     if isinstance(value, float):
         return f"{value:.3g}" if math.isfinite(value) else "-"
     return "-" if value is None else str(value)

@@ -108,7 +108,10 @@ class Outcome:
             KeyError, TypeError: it is something else.
         """
         verdict = stored["verdict"]
-        built = {"worst": Worst(**stored["worst"]), "verdict": None if verdict is None else Verdict(**verdict)}
+        built: dict[str, Any] = {
+            "worst": Worst(**stored["worst"]),
+            "verdict": None if verdict is None else Verdict(**verdict),
+        }
         return cls(**stored | built)
 
     def encode(self) -> dict[str, Any]:

@@ -4,8 +4,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
-
 from cei_converters.dataset import schema
 from cei_converters.dataset.locate import INFO_PATH
 from cei_converters.sources.calibration import Calibration
@@ -13,6 +11,7 @@ from cei_converters.sources.joint_map import load_joint_map
 from cei_converters.sources.recording import Recordings
 from cei_converters.sources.source import Source
 from cei_gym import plugins
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line
 
 
@@ -21,7 +20,7 @@ def open_source(
     root: str | Path | None = None,
     *,
     embodiment: str | None = None,
-    T_world_base: np.ndarray | None = None,
+    T_world_base: Array | None = None,
     calibration: Calibration | None = None,
     joint_map: str | Path | None = None,
     joints_only: bool = False,

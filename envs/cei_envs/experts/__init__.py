@@ -2,19 +2,16 @@
 
 from pkgutil import resolve_name
 
-import numpy as np
-
 from cei_envs.experts.expert import Expert
 from cei_envs.registration import environment_id, tasks
+from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 
 __all__ = ["Expert", "make_expert"]
 
 
-def make_expert(
-    task: str, embodiment: Embodiment, T_world_base: np.ndarray, seed: int, variation: float = 1.0
-) -> Expert:
+def make_expert(task: str, embodiment: Embodiment, T_world_base: Array, seed: int, variation: float = 1.0) -> Expert:
     """The expert of a task for an embodiment; `variation` as in `Expert`.
 
     Raises:
