@@ -65,4 +65,4 @@ benchmark = partial(run, "benchmark.command", "cei-benchmark", _LEROBOT)
 
 if __name__ == "__main__":  # of a module that has no entry point of its own: python -m cei_converters.start demo
     name = sys.argv.pop(1)
-    sys.exit(run(name, f"{__package__}.{name}", _LEROBOT))
+    sys.exit(run(name, f"python -m {__package__}.{name}", _LEROBOT))
