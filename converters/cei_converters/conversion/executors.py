@@ -46,15 +46,15 @@ def check_executor(name: str, slurm: SlurmOptions) -> None:
     """
     import shutil
 
+    if name == "ray":
+        extras.require("--executor=ray", "ray")
+    if name != "local":
+        extras.require(f"--executor={name}", "cluster")
     if name == "slurm":
         if slurm.partition is None:
             raise CEIError("--executor=slurm needs --slurm.partition.")
         if shutil.which("sbatch") is None:
             raise CEIError("--executor=slurm: there is no sbatch here; run this where jobs are submitted.")
-    if name == "ray":
-        extras.require("--executor=ray", "ray")
-    if name != "local":
-        extras.require(f"--executor={name}", "cluster")
 
 
 def run_local(task: Callable, tasks: int, workers: int, logs: Path) -> None:
