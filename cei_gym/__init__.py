@@ -9,7 +9,7 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from cei_gym import plugins
+from cei_gym import extras, plugins
 
 if TYPE_CHECKING:
     from cei_gym.demonstration import Camera, Demonstration, Scene
@@ -56,3 +56,7 @@ def __dir__() -> list[str]:
 
 for _entry_point in plugins.found("cei_gym.environments"):
     _entry_point.load()()
+if not extras.installed("cei_envs"):
+    from cei_gym import absent
+
+    absent.register()

@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cei_gym.errors import CEIError
+from cei_gym.extras import install_command
 from cei_gym.untrusted_xml import load_xml
 
 SCHEME = "package://"
@@ -103,7 +104,7 @@ def package_root(package: str) -> Path:
     spec = find_spec(package)
     if spec is None or not spec.submodule_search_locations:
         raise CEIError(
-            f"package {package!r} is not installed; its robot descriptions are needed: pip install {package}, or, for a "
+            f"package {package!r} is not installed; its robot descriptions are needed: {install_command(package)}, or, for a "
             "ROS package, --package_path=<folder that it is in>."
         )
     return Path(next(iter(spec.submodule_search_locations)))

@@ -5,10 +5,14 @@ equalities and mimic joints.
 """
 
 import numpy as np
-import pytorch_kinematics as pk
-import torch
-from pytorch_kinematics.frame import Frame, Joint, Link
-from pytorch_kinematics.transforms import Transform3d
+
+from cei_gym import extras
+
+with extras.needed_by(__name__):
+    import pytorch_kinematics as pk
+    import torch
+    from pytorch_kinematics.frame import Frame, Joint, Link
+    from pytorch_kinematics.transforms import Transform3d
 
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.kinematics.tree import KinematicTree

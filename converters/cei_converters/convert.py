@@ -1,7 +1,6 @@
 """`cei-convert`: one robot's LeRobot dataset becomes another's."""
 
 import contextlib
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from cei_converters.conversion.plan import DATASET
 from cei_converters.conversion.reach import check_reached
 from cei_converters.dataset.provenance import fingerprint
 from cei_converters.sources import calibration, joint_map, pose
+from cei_gym import extras
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.plan import Plan, to_begin_anew
     from cei_converters.conversion.staging import StagingDirectory
     from cei_converters.conversion.survey import LOWEST, survey
-    from cei_converters.conversion.workers import convert_shards, processes_for
+    from cei_converters.conversion.workers import convert_shards, default_workers, processes_for
     from cei_converters.conversion.writing import Writing
     from cei_converters.dataset.essentials import Remains
     from cei_converters.dataset.metadata import plain, restore_with
@@ -95,8 +95,11 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
                 f"known of its episodes. {restore_with(reader.root)}"
             )
         local = config.executor == "local"
-        workers = config.workers or (local and os.cpu_count()) or len(converter.selected)
+        workers = config.workers or (local and default_workers()) or len(converter.selected)
+        if local and config.workers is None and (absent := extras.missing("cluster")):
+            print(f"note: {extras.lacking('more than one process', absent)}")
         if local and processes_for(workers, -(-len(converter.selected) // config.shard_episodes)) > 1:
+            extras.require(f"--workers={workers}", "cluster")
             warm_up("cei_converters.conversion.preloaded")
         frames = [reader.frames(index) for index in converter.selected]
         progress = stack.enter_context(progress_bar("frames"))

@@ -2,7 +2,7 @@
 
 from pkgutil import resolve_name
 
-from cei_gym import plugins
+from cei_gym import extras, plugins
 from cei_gym.alignment.options import AUTO, SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem
 from cei_gym.alignment.registry import DEFAULT_SOLVER, GROUP, OWN
@@ -13,7 +13,7 @@ def make_solver(problem: AlignmentProblem, options: SolverOptions) -> Solver:
     """The solver that `options.backend` names.
 
     Raises:
-        CEIError: a package offers it, but it cannot be imported, or is no `Solver`.
+        CEIError: a package offers it, but it cannot be imported, or is no `Solver`; or it needs an extra that is missing.
     """
     return _class(options.backend)(problem, options)
 
@@ -30,4 +30,5 @@ def _class(backend: str) -> type[Solver]:
 
 
 def _own(name: str):
-    return resolve_name(OWN[name])
+    with extras.needed_by(f"the solver {name!r}"):
+        return resolve_name(OWN[name])

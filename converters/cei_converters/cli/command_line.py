@@ -15,6 +15,7 @@ from typing import Any
 from cei_converters import signals
 from cei_converters.cli.help import explain
 from cei_converters.cli.values import home_expanded, is_optional, is_path, read_value
+from cei_gym import extras
 from cei_gym.errors import CEIError, one_line, unknown
 from cei_gym.untrusted import load_yaml
 
@@ -236,7 +237,8 @@ def _run[Config](
     except SystemExit as request:  # --help
         return int(request.code or EXIT_OK)
     try:
-        func(config)
+        with extras.needed_by(prog):
+            func(config)
         sys.stdout.flush()  # what cannot be told is an error, too
     except (CEIError, OSError) as error:
         if signals.received() is not None:  # a library has its own words for being interrupted

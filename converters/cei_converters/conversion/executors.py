@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cei_converters import signals
+from cei_gym import extras
 from cei_gym.errors import CEIError
 
 NAMES = ("local", "slurm", "ray")
@@ -43,16 +44,17 @@ def check_executor(name: str, slurm: SlurmOptions) -> None:
     Raises:
         CEIError: what it needs is not there.
     """
-    import importlib.util
     import shutil
 
+    if name == "ray":
+        extras.require("--executor=ray", "ray")
+    if name != "local":
+        extras.require(f"--executor={name}", "cluster")
     if name == "slurm":
         if slurm.partition is None:
             raise CEIError("--executor=slurm needs --slurm.partition.")
         if shutil.which("sbatch") is None:
             raise CEIError("--executor=slurm: there is no sbatch here; run this where jobs are submitted.")
-    if name == "ray" and importlib.util.find_spec("ray") is None:
-        raise CEIError("--executor=ray needs Ray; pip install 'cei-gym[ray]'.")
 
 
 def run_local(task: Callable, tasks: int, workers: int, logs: Path) -> None:

@@ -17,6 +17,7 @@ from cei_converters.conversion.executors import quiet, run_local, run_ray
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.shard import ShardWriter, frames_done, unfinished
 from cei_converters.conversion.staging import StagingDirectory
+from cei_gym import extras
 from cei_gym.errors import CEIError
 
 _LOOK_S = 0.5
@@ -51,6 +52,12 @@ def convert_shards(
             task = ShardTask(str(place.root), missing, threads)
             run(task, len(missing), processes, place.logs / str(time.time_ns()))
     place.check_complete(len(plan.shards))
+
+
+def default_workers() -> int:
+    """How many cores a conversion keeps busy here: all of them; where nothing is installed that runs processes, those of one."""
+    cores = os.cpu_count() or 1
+    return cores if extras.missing("cluster") is None else min(cores, _THREADS)
 
 
 def processes_for(workers: int, shards: int) -> int:

@@ -8,6 +8,7 @@ import gymnasium as gym
 from gymnasium.envs.registration import load_env_creator
 
 import cei_gym  # noqa: F401  (registers the environments)
+from cei_gym.absent import unavailable
 from cei_gym.errors import CEIError, one_line, unknown
 
 PREFIX = "CEI-"
@@ -20,8 +21,6 @@ def open_environment(env_id: str, **kwargs: Any) -> gym.Env:
         CEIError: no such environment (the message lists the valid ones), none is installed, or it takes no such argument.
     """
     ids = [name for name in gym.registry if name.startswith(PREFIX)]
-    if not ids:
-        raise CEIError("no CEI environment is installed; pip install 'cei-gym[envs]'.")
     if env_id not in ids:
         raise unknown("environment", env_id, ids)
     check_arguments(env_id, kwargs)
@@ -37,10 +36,12 @@ def check_arguments(env_id: str, kwargs: Mapping[str, Any]) -> None:
     """Check the names of an environment's arguments, which may come from a dataset.
 
     Raises:
-        CEIError: it takes no such argument, or its id says it already.
+        CEIError: it takes no such argument, its id says it already, or the environment is not installed.
     """
     spec = gym.spec(env_id)
     assert spec.entry_point is not None
+    if spec.entry_point is unavailable:
+        unavailable(env_id)
     creator = spec.entry_point if callable(spec.entry_point) else load_env_creator(spec.entry_point)
     takes = [*inspect.signature(creator).parameters, "max_episode_steps", "disable_env_checker"]
     takes = [name for name in takes if name not in spec.kwargs]

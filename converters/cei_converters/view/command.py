@@ -8,6 +8,7 @@ from typing import Any
 
 from cei_converters.cli import DatasetConfig, SourceConfig, run
 from cei_converters.cli.options import check_overwrite, check_range
+from cei_gym import extras
 from cei_gym.errors import CEIError
 
 EXAMPLE = """example:
@@ -58,6 +59,8 @@ def view(config: ViewConfig) -> dict[str, Any]:
     from cei_converters.view.episode import load_view
     from cei_gym.embodiment import use_package_path
 
+    if config.sheet is None or config.rrd is not None:
+        extras.require("cei-view", "view")
     use_package_path(config.package_path)
     outputs = Outputs(config.overwrite)
     json = outputs.file("--json", config.json, JSON)
