@@ -99,7 +99,8 @@ def test_torch_is_only_where_solvers_need_it() -> None:
 
 LAYERS = {
     "cei_gym": [
-        *("errors", "compiled", "plugins", "untrusted", "untrusted_xml", "channels", "displacement", "demonstration"),
+        *("errors", "arrays", "compiled", "extras", "plugins", "untrusted", "untrusted_xml", "absent", "channels"),
+        *("displacement", "demonstration"),
         *("embodiment", "rendering", "environment", "kinematics", "functional", "pointcloud", "alignment"),
         *("augmentation", "transfer", "impersonation", "wrapper"),
     ],
