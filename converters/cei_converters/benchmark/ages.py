@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from cei_converters.benchmark.figures import MANIFEST, Figure, Manifest
+from cei_converters.benchmark.figures import DIRTY, MANIFEST, Figure, Manifest
 from cei_converters.benchmark.measured_code import Code, changes
 from cei_gym.errors import CEIError
 
@@ -36,6 +36,11 @@ class Aged:
     def is_older(self) -> bool:
         """Whether it is older than what it measures."""
         return bool(self.changed)
+
+
+def shortened(commit: str) -> str:
+    """A commit's first seven digits, and whether files had changed."""
+    return commit[:7] + DIRTY * commit.endswith(DIRTY)
 
 
 def ages(results: Path) -> list[Aged]:

@@ -18,7 +18,7 @@ from cei_converters.benchmark.measured_code import Code, Digests
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_yaml
 
-MANIFEST = "depends.yaml"
+MANIFEST, DIRTY = "depends.yaml", "-dirty"
 DESCRIPTION = "README.md"
 """The two files of a folder that are no figures."""
 

@@ -6,13 +6,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
-from cei_converters.benchmark.figures import Figure, Manifest, said_by
+from cei_converters.benchmark.figures import DIRTY, Figure, Manifest, said_by
 from cei_converters.benchmark.measured import measured_by
 from cei_converters.benchmark.measured_code import Code, checkout, git
 from cei_converters.dataset.provenance import PACKAGES, git_commit, versions
 from cei_gym.errors import CEIError
-
-DIRTY = "-dirty"
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cei_converters.benchmark.ages import Aged, ages
+from cei_converters.benchmark.ages import Aged, ages, shortened
 from cei_converters.benchmark.figures import Manifest
 from cei_converters.benchmark.keeping import fill
 from cei_converters.benchmark.marks import marked
@@ -61,7 +61,7 @@ def _print(found: Sequence[Aged], every: bool) -> None:
         table.add_column(name, overflow="fold")
     for each in found:
         figure = each.figure
-        commits = " ".join(commit[:7] + "-dirty" * commit.endswith("-dirty") for commit in each.commits)
+        commits = " ".join(map(shortened, each.commits))
         seeds = "" if figure.seeds is None else f"{figure.seeds[0]}-{figure.seeds[1]}"
         files = f"{each.folder.name}/{', '.join(_few(figure.files, every))}"
         since = "\n".join(_few(each.changed, every)) if each.is_older else "[green]the same[/]"

@@ -8,10 +8,10 @@ A document never says that a figure is up to date: the code may change without i
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from cei_converters.benchmark.ages import Aged
+from cei_converters.benchmark.ages import Aged, shortened
 from cei_gym.errors import CEIError
 
 OLDER = ", older than the code"
@@ -35,9 +35,23 @@ def marked(document: Path, aged: Sequence[Aged]) -> str:
     def new(mark: re.Match) -> str:
         if any(start <= mark.start() < end for start, end in fenced):
             return mark.group()
-        return f"<!-- measured {mark[1]} -->{_said_of(_named(document, mark[1], aged))}<!-- end -->"
+        found = _named(document, mark[1], aged)
+        commits = [commit for each in found for commit in each.commits]
+        return mark_of(mark[1], commits, any(each.is_older for each in found))
 
     return _MARK.sub(new, text)
+
+
+def mark_of(name: str, commits: Iterable[str], is_older: bool = False) -> str:
+    """A mark.
+
+    Args:
+        name: of the figure's file, or of its folder, as the document would link it.
+        commits: that it was measured at.
+        is_older: whether it is older than the code.
+    """
+    short = dict.fromkeys(f"`{shortened(commit)}`" for commit in commits)
+    return f"<!-- measured {name} -->({', '.join(short)}{OLDER if is_older else ''})<!-- end -->"
 
 
 def figures_of(document: Path, aged: Sequence[Aged]) -> list[Aged]:
@@ -60,8 +74,3 @@ def _named(document: Path, name: str, aged: Sequence[Aged]) -> list[Aged]:
     if not found:
         raise CEIError(f"{document}: '{name}' in a mark is no figure and no folder of figures.")
     return found
-
-
-def _said_of(found: Sequence[Aged]) -> str:
-    commits = dict.fromkeys(f"`{commit[:7]}`" for each in found for commit in each.commits)
-    return f"({', '.join(commits)}{OLDER if any(each.is_older for each in found) else ''})"

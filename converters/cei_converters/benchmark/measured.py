@@ -48,7 +48,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
         *(*_CLOUDS, "cei_gym/wrapper.py", *_ENVIRONMENTS, "benchmarks/observation.py", "benchmarks/measure.py"),
     ),
     "benchmarks/scale.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/scale.py", "benchmarks/transfer.py"),
-    "benchmarks/training.py": (*_POLICY, "benchmarks/training.py"),
+    "benchmarks/training.py": (*_POLICY, *_CONVERSION[-4:], "benchmarks/training.py"),
     "benchmarks/transfer.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/transfer.py"),
 }
 """By what a command starts with, `python` left out."""
