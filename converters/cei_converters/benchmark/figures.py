@@ -85,7 +85,7 @@ class Manifest:
         try:
             found = load_yaml(path.read_text())
             figures = [_figure(entry) for entry in found["figures"]]
-            code = {str(name): {k: str(v) for k, v in files.items()} for name, files in found.get("code", {}).items()}
+            code = {name: _digests(lines) for name, lines in found.get("code", {}).items()}
         except (OSError, CEIError, ValueError, TypeError, KeyError, AttributeError) as error:
             raise CEIError(f"{path} is no list of figures ({type(error).__name__}: {one_line(error)}).") from error
         for figure in figures:
@@ -97,8 +97,9 @@ class Manifest:
         """Write it, without code that is of no figure."""
         used = {figure.code for figure in self.figures}
         self.code = {name: digests for name, digests in self.code.items() if name in used}
-        values = {"figures": [_entry(figure) for figure in self.figures], "code": self.code}
-        text = yaml.safe_dump(values, sort_keys=False, width=120, default_flow_style=None, allow_unicode=True)
+        lines = {name: "".join(f"{digests[p]} {p}\n" for p in digests) for name, digests in self.code.items()}
+        values = {"figures": [_entry(figure) for figure in self.figures], "code": lines}
+        text = yaml.dump(values, Dumper=_Dumper, sort_keys=False, width=120, default_flow_style=None)
         (self.folder / MANIFEST).write_text(text)
 
     def names(self) -> list[str]:
@@ -164,6 +165,21 @@ def said_by(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+class _Dumper(yaml.SafeDumper):
+    """Lines stay lines."""
+
+
+_Dumper.add_representer(
+    str,
+    lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style="|" if "\n" in text else None),
+)
+
+
+def _digests(lines: str) -> Digests:
+    """From the manifest's lines: a digest, and the path of its file. As values of YAML, some digests would be numbers."""
+    return {path: digest for digest, _, path in (line.partition(" ") for line in lines.splitlines())}
 
 
 def _figure(entry: dict[str, Any]) -> Figure:

@@ -14,7 +14,7 @@ import subprocess
 import tarfile
 from collections.abc import Iterable, Iterator, Mapping
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Self
 
@@ -72,7 +72,7 @@ class Code:
     @property
     def name(self) -> str:
         """Digest of all digests."""
-        return hashlib.sha256(json.dumps(self.digests).encode()).hexdigest()[:_DIGITS]
+        return f"code-{hashlib.sha256(json.dumps(self.digests).encode()).hexdigest()[:_DIGITS]}"
 
     def digest(self, path: str, renamed: Mapping[str, str] | None = None) -> str:
         """Of one file.
@@ -81,12 +81,9 @@ class Code:
             path: in the checkout.
             renamed: other names under which modules are taken to be imported, by those that the file has.
         """
-        text = "".join(part if isinstance(part, str) else _renamed(part, renamed or {}) for part in self._parts[path])
+        parts = _parts(path, self._files[path])
+        text = "".join(part if isinstance(part, str) else _renamed(part, renamed or {}) for part in parts)
         return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
-
-    @cached_property
-    def _parts(self) -> Mapping[str, tuple["str | Imports", ...]]:
-        return {path: tuple(_read(path, content)) for path, content in self._files.items()}
 
 
 def checkout() -> Path | None:
@@ -162,6 +159,11 @@ def _module(path: str) -> str:
 
 type Imports = tuple[tuple[str, str], ...]
 """What imports that follow each other bring: dotted name, and what it is called here."""
+
+
+@lru_cache(4096)
+def _parts(path: str, content: bytes) -> tuple["str | Imports", ...]:
+    return tuple(_read(path, content))
 
 
 def _read(path: str, content: bytes) -> Iterator["str | Imports"]:
