@@ -7,11 +7,12 @@ ENVIRONMENT := .venv/.installed
 PYTEST_ARGS ?=
 PYTEST := OMP_NUM_THREADS=1 $(PYTHON_ENV) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 DEMO_ARGS ?=
+RESULTS_ARGS ?=
 
 # Python may cache what it compiles: importing everything anew takes 14 s a process.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup demo test test-fast coverage documents docs ray check format type build benchmark lock clean
+.PHONY: help setup demo test test-fast coverage documents docs ray check format type build benchmark results lock clean
 
 help: ## List the targets (the default)
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1 # \2/p' $(MAKEFILE_LIST) | awk -F' # ' '{ printf "%-18s %s\n", $$1, $$2 }'
@@ -65,6 +66,9 @@ build: setup ## Build the wheels and sdists of all distributions into dist/
 benchmark: setup ## Run every benchmark (hours, and 40 GB of disk)
 	@$(PYTHON_ENV) -m cei_converters.benchmark.command replay
 	@for file in benchmarks/*.py; do echo "== $$file"; $(PYTHON_ENV) "$$file" || exit; done
+
+results: setup ## List figures that are older than the code they measure (RESULTS_ARGS=--mark marks them in documents)
+	@$(PYTHON_ENV) -m cei_converters.benchmark.command results $(RESULTS_ARGS)
 
 lock: ## Bring requirements.lock up to the pyprojects (LOCK_ARGS=--upgrade for newer versions)
 	@scripts/lock $(LOCK_ARGS)

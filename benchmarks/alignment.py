@@ -23,11 +23,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from measure import STARTED, say_of
 from numba import njit
 from others import available
 
 from cei_converters.cli import DatasetConfig, quiet_libraries
-from cei_converters.dataset.provenance import git_commit, versions
+from cei_converters.dataset.provenance import versions
 from cei_converters.record import RecordConfig, record
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import (
@@ -95,7 +96,7 @@ def main() -> None:
         "command": f"python benchmarks/alignment.py --demonstrations {args.demonstrations} --frames {args.frames} --pairs {args.pairs} "
         f"--lambda_m {args.lambda_m:g}",
         "seeds": [0, args.demonstrations - 1],
-        "commit": git_commit(),
+        "commit": STARTED.commit,
         "versions": versions(["cei-gym", "numba", "numpy", "torch", "pytorch-kinematics", "mujoco", "mink"]),
         "cores": CORES,
         "methods": [],
@@ -103,6 +104,7 @@ def main() -> None:
         "floor": [],
         "live": [],
     }
+    say_of(args.results, [f"{name}.json", f"{name}.csv", f"{name}.png"], result["seeds"])
     whole = demonstrations(args.demonstrations)
     qpos = [q[max(0, (len(q) - args.frames) // 2) :][: args.frames] for q in whole]
     for target in args.targets:

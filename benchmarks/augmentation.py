@@ -102,7 +102,7 @@ def main() -> None:
     print(f"{CONTROL}: {ways[CONTROL]['successes']} of {len(control)} succeed")
     setup = {"source": SOURCE, "target": args.target, "seed": args.seed, "grid": args.grid, "range_m": args.range}
     path = args.results / f"PickCube-{args.target}.json"
-    save(path, {"task": "PickCube", **setup, "ways": ways})
+    save(path, {"task": "PickCube", **setup, "ways": ways}, path.with_suffix(".png").name, seeds=[args.seed, args.seed])
     draw(path.with_suffix(".png"), ways)
 
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from measure import say_of
 
 from cei_converters.simulation.environment import open_environment
 from cei_converters.simulation.rollout import record_episode
@@ -48,6 +49,7 @@ def main() -> None:
                 row = [target, lambda_m, f"{distance:.1f}", f"{angle:.1f}"]
                 writer.writerow(row)
                 print(*row)
+    say_of(args.results, ["direction_weight.csv"], [0, args.demonstrations - 1])
 
 
 if __name__ == "__main__":

@@ -213,7 +213,7 @@ def main() -> None:
         "rows": rows,
         "control_period_ms": periods,
     }
-    save(args.results / "observation.json", result)
+    save(args.results / "observation.json", result, seeds=[0, 0])
 
 
 if __name__ == "__main__":

@@ -70,13 +70,14 @@ def main() -> None:
         write(root, record(range(min(10, most))), most)
         rows = [converted(root, args.target, count, workers) for count, workers in jobs]
     result = {"source": SOURCE, "target": args.target, "frames": FRAMES, "cores": os.cpu_count(), "conversions": rows}
+    seeds = [0, min(10, most) - 1]
     if args.workers:
-        save(args.results / "workers.json", result)
+        save(args.results / "workers.json", result, seeds=seeds)
         return
     slopes = [slope(fewer, more) for fewer, more in pairwise(rows)]
     for row in slopes:
         print("  ".join(f"{name} {value}" for name, value in row.items()))
-    save(args.results / "scale.json", result | {"slopes": slopes})
+    save(args.results / "scale.json", result | {"slopes": slopes}, seeds=seeds)
 
 
 if __name__ == "__main__":

@@ -122,7 +122,7 @@ def main() -> None:
         "batch": BATCH,
         "policies": policies,
     }
-    save(args.results / "training.json", result)
+    save(args.results / "training.json", result, seeds=[0, args.demonstrations - 1])
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import fnmatch
 import io
 import json
 import multiprocessing
@@ -21,6 +22,7 @@ from PIL import Image
 
 from cei_converters.benchmark import command, jobs, paper
 from cei_converters.benchmark.cells import END_EFFECTORS, TABLES, TASKS, Cell, all_cells
+from cei_converters.benchmark.figures import Manifest
 from cei_converters.benchmark.heat_map import write_heat_map
 from cei_converters.benchmark.results import Results
 from cei_converters.benchmark.runner import Job, run_jobs
@@ -71,6 +73,19 @@ def test_a_cell_that_fails_is_named_and_leaves_the_others_intact(folder: Path) -
     assert error.startswith(f"error: {BROKEN}: ") and f"{BROKEN}/dataset cannot be made: " in error
     assert summary == "error: 1 failed, see above; the same command runs them again."
     assert [line.split(":")[0] for line in progress] == [RECORDING, SOURCE_CELL, *CELLS]
+
+
+def test_each_file_says_what_it_depends_on(folder: Path) -> None:
+    manifest = Manifest.read(folder / "results")
+    manifest.check()
+    for name in (SOURCE_CELL, *CELLS):
+        figure = manifest.figure(f"{name}.json")
+        assert figure.command == "cei-benchmark replay --episodes=1 --seed=3 --tasks=PickCube --targets=IIWA-Inspire"
+        assert (figure.commit, figure.seeds) == (cell_of(folder, name)["commit"], (3, 3))
+        assert manifest.code[str(figure.code)]["converters/cei_converters/benchmark/jobs.py"]
+    table = manifest.figure("replay.csv")
+    assert table.command == "cei-benchmark replay --episodes=1 --seed=3 --redraw"
+    assert all(fnmatch.fnmatch(f"{name}.json", table.made_of[0]) for name in CELLS)
 
 
 def test_it_resumes_and_runs_only_what_is_missing(folder: Path) -> None:
@@ -173,7 +188,8 @@ def test_bad_input_is_one_clear_line(folder: Path, option: str, code: int, messa
 def test_an_unknown_benchmark_lists_the_valid_ones(capsys: pytest.CaptureFixture) -> None:
     assert command.main(["polcy"]) == 2
     assert (
-        capsys.readouterr().err == "error: unknown benchmark 'polcy'. Did you mean 'policy'? Valid: policy, replay.\n"
+        capsys.readouterr().err
+        == "error: unknown benchmark 'polcy'. Did you mean 'policy'? Valid: policy, replay, results.\n"
     )
 
 

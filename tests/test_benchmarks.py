@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from cei_converters.benchmark.figures import Figure, Manifest
+
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 
@@ -19,6 +21,17 @@ def run(script: str, tmp_path: Path, *args: str) -> str:
         patch.setattr("sys.argv", [script, "--results", str(tmp_path / "results"), *args])
         runpy.run_path(str(BENCHMARKS / script), run_name="__main__")
     return printed.getvalue()
+
+
+def depends_on(tmp_path: Path, *names: str) -> Figure:
+    """What is said of files, which were made together, and are all that there is."""
+    manifest = Manifest.read(tmp_path / "results")
+    manifest.check()
+    assert manifest.names() == [*names]
+    (figure,) = {manifest.figure(name).command: manifest.figure(name) for name in names}.values()
+    assert figure.commit
+    assert figure.code in manifest.code
+    return figure
 
 
 def test_alignment(tmp_path: Path) -> None:
@@ -35,6 +48,9 @@ def test_alignment(tmp_path: Path) -> None:
     assert len(result["floor"]) == len(result["live"]) == 1
     assert (tmp_path / "results/speed_lambda_0.05.png").stat().st_size > 10_000
     assert (tmp_path / "results/speed_lambda_0.05.csv").read_text().count("\n") == len(result["methods"]) + 1
+    figure = depends_on(tmp_path, *(f"speed_lambda_0.05.{suffix}" for suffix in ("csv", "json", "png")))
+    assert figure.seeds == (0, 0)
+    assert "benchmarks/others.py" in figure.measures
 
 
 def test_impersonation(tmp_path: Path) -> None:
@@ -64,3 +80,16 @@ def test_first_frame(tmp_path: Path) -> None:
     result = json.loads((tmp_path / "results/first_frame.json").read_text())
     assert result["cases"] == 2
     assert result["methods"]["multistart"]["found_percent"] == 100
+    figure = depends_on(tmp_path, "first_frame.json")
+    assert figure.command == "python benchmarks/first_frame.py --cases=2 --seed=0"
+    assert figure.seeds == (0, 1)
+
+
+def test_a_blind_control_has_its_folders_seeds(tmp_path: Path) -> None:
+    (tmp_path / "results").mkdir()
+    Manifest(tmp_path / "results", [Figure(("a.json",), "cei-benchmark replay", seeds=(3, 5))]).write()
+    with pytest.raises(SystemExit, match="has cells of seeds 3-5, not 4-6"):
+        run("blind_control.py", tmp_path, "--seed=4", "--episodes=3")
+    Manifest(tmp_path / "results").write()
+    assert run("blind_control.py", tmp_path, "--seed=4", "--episodes=2") == "blind control: 0 of 2 succeed\n"
+    assert depends_on(tmp_path, "blind_control.json").seeds == (4, 5)

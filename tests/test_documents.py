@@ -10,6 +10,7 @@ from malformed import corpus
 from smoke import documents
 
 from cei_converters import record, replay, restore
+from cei_converters.benchmark.listing import ResultsConfig
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types
@@ -37,6 +38,7 @@ OPTIONS = {
         "cei-view": ViewConfig,
         "cei-benchmark replay": ReplayBenchmarkConfig,
         "cei-benchmark policy": PolicyBenchmarkConfig,
+        "cei-benchmark results": ResultsConfig,
     }.items()
 }
 

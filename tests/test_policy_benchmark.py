@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from cei_converters.benchmark import command, paper
+from cei_converters.benchmark.figures import Manifest
 from cei_converters.benchmark.policy_stages import VARIANTS, PolicyCell, Stages, Training, Trials
 from cei_converters.sources.reader import DatasetReader
 
@@ -51,6 +52,17 @@ def test_variants_become_cells_that_share_a_training(folder: Path) -> None:
     shown = [DatasetReader("me/any", folder / f"work/datasets/{CELL}-{kind}").read(0) for kind in said]
     clouds = [np.mean(demonstration.point_cloud_world, axis=(0, 1)) for demonstration in shown]
     assert not np.allclose(*clouds, atol=1e-4)
+
+
+def test_each_file_says_what_it_depends_on(folder: Path) -> None:
+    manifest = Manifest.read(folder / "results")
+    manifest.check()
+    figure = manifest.figure(f"{CELL}-cei-0.json")
+    assert figure.command.startswith("cei-benchmark policy --tasks=PickCube --targets=UR5e-FourierRight --variants=")
+    assert figure.seeds == (3, 3)
+    assert "lerobot_policy_dp3" in figure.versions
+    assert manifest.code[str(figure.code)]["policies/lerobot_policy_dp3/unet.py"]
+    assert {*manifest.figure("policy.md").files} == {"policy.md", "policy.csv", "success.png", "learning.png"}
 
 
 def test_a_learning_curve_counts_steps_once_however_often_training_was_stopped(tmp_path: Path) -> None:

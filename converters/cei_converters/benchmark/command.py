@@ -2,13 +2,14 @@
 
 import sys
 
-from cei_converters.benchmark import policy, replay
+from cei_converters.benchmark import listing, policy, replay
 from cei_converters.cli.command_line import EXIT_OK, EXIT_USAGE
 from cei_gym.errors import unknown
 
 BENCHMARKS = {
     "policy": (policy.main, "how often policies trained on them succeed"),
     "replay": (replay.main, "how often transferred demonstrations succeed, beside the paper's figures"),
+    "results": (listing.main, "nothing: which figures are older than the code that they measure"),
 }
 """Name to entry point, and what it measures."""
 

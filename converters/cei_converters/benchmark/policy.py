@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -73,9 +73,11 @@ def policy_benchmark(config: PolicyBenchmarkConfig) -> None:
         errors = _run([cell for cell in cells if cell not in found], stages, config)
         found = _finished(cells, stages, folder)
     if found:
+        from cei_converters.benchmark.keeping import keep_derived
         from cei_converters.benchmark.policy_report import write_report
 
         print(write_report(found, stages, folder))
+        keep_derived(folder, REPORT_FILES, f"{_command(config)} --redraw", "*-*-*.json")
     elif config.stage != "train":
         errors.append(f"no cell is finished in {folder}.")
     if errors:
@@ -107,10 +109,13 @@ def _names(kind: str, text: str | None, valid: tuple[str, ...]) -> list[str]:
 
 def _run(cells: list[PolicyCell], stages: Stages, config: PolicyBenchmarkConfig) -> list[str]:
     """Run cells and keep their results; returns what went wrong, one line each."""
+    from cei_converters.benchmark.keeping import Run, keep
     from cei_converters.cli.progress import progress_bar
-    from cei_converters.dataset.provenance import PACKAGES, git_commit, versions
+    from cei_converters.dataset.provenance import PACKAGES
 
-    made_by = {"commit": git_commit(), "versions": versions((*PACKAGES, "lerobot_policy_dp3"))}
+    started, command = Run.now((*PACKAGES, "numba", "lerobot_policy_dp3")), _command(config)
+    trials = range(config.seed, config.seed + config.episodes)
+    made_by = {"commit": started.commit, "versions": started.versions}
     workers = config.jobs or (1 if config.training.device != "cpu" else os.cpu_count() or 1)
     errors = []
 
@@ -130,10 +135,20 @@ def _run(cells: list[PolicyCell], stages: Stages, config: PolicyBenchmarkConfig)
                 date = {"date": datetime.now(UTC).isoformat(timespec="seconds")}
                 file = Output(config.results / f"{cell.name}.json")
                 write_json(file, stages.settings(cell) | result | made_by | date)
+                keep(config.results, [f"{cell.name}.json"], command, started, trials)
                 line = f"{cell.name}: {sum(result['successes'])} of {len(result['successes'])}"
                 progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
             progress.advance(bar)
     return errors
+
+
+def _command(config: PolicyBenchmarkConfig) -> str:
+    """The command, less where it puts things and how."""
+    from cei_converters.dataset.provenance import command_line
+
+    default = PolicyBenchmarkConfig()
+    same = {"results": default.results, "work": default.work, "jobs": None, "stage": "all", "redraw": False}
+    return command_line("cei-benchmark", replace(config, **same)).replace("cei-benchmark", "cei-benchmark policy", 1)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from cei_converters.benchmark import paper
+from cei_converters.benchmark.marks import mark_of
 from cei_converters.benchmark.policy_stages import BLIND, VARIANTS, PolicyCell, Stages
 from cei_converters.benchmark.tables import shown
 
@@ -66,8 +67,8 @@ def _markdown(found: Found) -> str:
         f"{len(first['successes'])} trials from seed {first['trials']['first_seed']} on. {first['demonstrations']} demonstrations "
         f"of a scripted expert that varies {first['variation']:g} times as much as people do.",
     ]
-    commits = ", ".join(sorted({str(result["commit"]) for result in found.values()}))
-    return "\n".join([*lines, f"`-`: not run. Commit: {commits}."])
+    mark = mark_of("policy.csv", sorted({str(result["commit"]) for result in found.values()}))
+    return "\n".join([*lines, f"`-`: not run. Measured at {mark}."])
 
 
 def _bars(found: Found, path: Path) -> None:

@@ -4,7 +4,7 @@ import contextlib
 import math
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ EXAMPLE = """example:
   cei-benchmark replay
   cei-benchmark replay --tasks=PickCube --targets=IIWA-Inspire,UR5e-FourierRight --episodes=2 --results=outputs/smoke"""
 REPORT, HEAT_MAP = "replay.md", "heat_map.png"
+DERIVED = (REPORT, HEAT_MAP, *FILES.values())
 # so that the cores finish together
 LONGEST_FIRST = ("StackCube", "OpenDrawer", "PickCube")
 
@@ -59,13 +60,13 @@ def replay_benchmark(config: ReplayBenchmarkConfig) -> None:
     cells = select(config.tables, config.tasks, config.targets)
     results = Results(config.results, range(config.seed, config.seed + config.episodes))
     finished = results.read_all()  # the others too: all of them make the tables
-    check_derived(results.folder, (REPORT, HEAT_MAP, *FILES.values()), bool(finished))
+    check_derived(results.folder, DERIVED, bool(finished))
     errors = []
     if not config.redraw:
         errors = _run([cell for cell in cells if cell not in finished], results, config)
     for error in errors:
         print(f"error: {error}", file=sys.stderr)
-    _draw(results)
+    _draw(results, config)
     if errors:
         raise CEIError(f"{len(errors)} failed, see above; the same command runs them again.")
 
@@ -73,9 +74,10 @@ def replay_benchmark(config: ReplayBenchmarkConfig) -> None:
 def _run(cells: list[Cell], results: Results, config: ReplayBenchmarkConfig) -> list[str]:
     """Run cells and keep their results; returns what went wrong, one line each."""
     from cei_converters.benchmark.jobs import record_source, run_cell
+    from cei_converters.benchmark.keeping import Run, keep
     from cei_converters.benchmark.runner import Job, run_jobs
     from cei_converters.cli.progress import progress_bar
-    from cei_converters.dataset.provenance import PACKAGES, git_commit, versions
+    from cei_converters.dataset.provenance import PACKAGES
 
     folder = config.work / f"{config.seed}-{config.episodes}"
     jobs = []
@@ -83,7 +85,8 @@ def _run(cells: list[Cell], results: Results, config: ReplayBenchmarkConfig) -> 
         then = tuple(Job(c.name, run_cell, (c, folder, config.keep_datasets)) for c in cells if c.task == task)
         jobs.append(Job(f"{task}, recording {SOURCE}", record_source, (task, folder, results.seeds), then))
     # now, since results that are under version control will change
-    made_by = {"commit": git_commit(), "versions": versions(PACKAGES)}
+    started, command = Run.now((*PACKAGES, "numba")), _command(config)
+    made_by = {"commit": started.commit, "versions": started.versions}
     errors = []
     with (
         progress_bar("cells") as progress,
@@ -103,6 +106,7 @@ def _run(cells: list[Cell], results: Results, config: ReplayBenchmarkConfig) -> 
             else:
                 cell = job.args[0]
                 results.write(cell, found | made_by | {"date": datetime.now(UTC).isoformat(timespec="seconds")})
+                keep(results.folder, [results.path(cell).name], command, started, results.seeds)
                 line = f"{cell.name}: {_line(found)}"
                 progress.advance(bar)
             progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
@@ -115,7 +119,16 @@ def _line(found: dict[str, Any]) -> str:
     return f"{replay['successes']} of {replay['episodes']}{beside} ({sum(found['seconds'].values()):.0f} s)"
 
 
-def _draw(results: Results) -> None:
+def _command(config: ReplayBenchmarkConfig) -> str:
+    """The command, less where it puts things and how."""
+    from cei_converters.dataset.provenance import command_line
+
+    default = ReplayBenchmarkConfig()
+    same = {"results": default.results, "work": default.work, "jobs": None, "keep_datasets": False, "redraw": False}
+    return command_line("cei-benchmark", replace(config, **same)).replace("cei-benchmark", "cei-benchmark replay", 1)
+
+
+def _draw(results: Results, config: ReplayBenchmarkConfig) -> None:
     """Tables and heat map of all finished cells.
 
     Raises:
@@ -125,6 +138,7 @@ def _draw(results: Results) -> None:
     from rich.markdown import Markdown
 
     from cei_converters.benchmark.heat_map import write_heat_map
+    from cei_converters.benchmark.keeping import keep_derived
     from cei_converters.benchmark.tables import markdown, write_csv
 
     found = results.read_all()
@@ -134,6 +148,8 @@ def _draw(results: Results) -> None:
     write_csv(found, results.folder)
     (results.folder / REPORT).write_text(text + "\n")
     write_heat_map(found, results.folder / HEAT_MAP)
+    command = _command(replace(config, tables=None, tasks=None, targets=None))
+    keep_derived(results.folder, DERIVED, f"{command} --redraw", "*-*-*.json")
     Console(width=None if sys.stdout.isatty() else PIPE_WIDTH).print(Markdown(text))
     print(f"Wrote {REPORT}, {HEAT_MAP} and CSV tables to {results.folder}.")
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cei_converters.benchmark.cells import END_EFFECTORS, SOURCE, TABLES, TASKS, Cell, Entry
+from cei_converters.benchmark.marks import mark_of
 from cei_gym.embodiment import ARMS
 
 type Found = Mapping[Cell, Mapping[str, Any]]
@@ -97,7 +98,7 @@ def markdown(found: Found) -> str:
             _ablation(found),
             "## Sensitivity to the representation: ours / the paper's",
             _sensitivity(found),
-            f"Commit: {', '.join(commits)}.",
+            f"Measured at {mark_of(FILES['main'], commits)}.",
         ]
     )
 

@@ -1,0 +1,68 @@
+"""Which code each benchmark measures, as patterns of paths in the checkout (see `measured_code.select`).
+
+A pattern stands for all that could change the figure, not for what did. What a figure's libraries were is in its versions.
+"""
+
+from cei_gym.errors import CEIError
+
+_ALIGNMENT = tuple(
+    f"cei_gym/{part}" for part in ("alignment/*", "embodiment/*", "functional/*", "kinematics/*", "compiled.py")
+)
+# The whole method, less what plays another robot's part live, and what only makes more of a demonstration.
+_METHOD = ("cei_gym/*", "!cei_gym/wrapper.py", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py")
+_ENVIRONMENTS = ("envs/cei_envs/*",)
+# From an environment to demonstrations, by the scripted expert.
+_RECORDED = (*_ENVIRONMENTS, "converters/cei_converters/simulation/*")
+# From a dataset to another: not what is said of it, and not other formats.
+_CONVERSION = (
+    *("converters/cei_converters/convert.py", "converters/cei_converters/conversion/*"),
+    *("!converters/cei_converters/conversion/quality_picture.py", "!converters/cei_converters/conversion/outcomes.py"),
+    *("converters/cei_converters/sources/*", "!converters/cei_converters/sources/robomimic*.py"),
+    *("!converters/cei_converters/sources/robosuite.py", "!converters/cei_converters/sources/hdf5.py"),
+    "!converters/cei_converters/sources/zarr_source.py",
+    *("converters/cei_converters/dataset/*", "!converters/cei_converters/dataset/card*.py"),
+    *("!converters/cei_converters/dataset/license.py", "!converters/cei_converters/dataset/hub.py"),
+)
+_RECORD, _REPLAY = "converters/cei_converters/record.py", "converters/cei_converters/replay.py"
+_CELLS = ("converters/cei_converters/benchmark/cells.py", "converters/cei_converters/benchmark/jobs.py")
+_POLICY = ("policies/lerobot_policy_dp3/*", "envs/lerobot_env_cei/*")
+_CLOUDS = ("cei_gym/pointcloud/*", "cei_gym/rendering/*", "cei_gym/embodiment/*", "cei_gym/kinematics/*")
+
+MEASURED: dict[str, tuple[str, ...]] = {
+    "cei-benchmark replay": (*_METHOD, *_RECORDED, *_CONVERSION, _RECORD, _REPLAY, *_CELLS),
+    "cei-benchmark policy": (
+        *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py"),
+        *(*_RECORDED, *_CONVERSION, _RECORD, *_POLICY, "converters/cei_converters/benchmark/policy_stages.py"),
+    ),
+    "benchmarks/alignment.py": (*_ALIGNMENT, *_RECORDED, "benchmarks/alignment.py", "benchmarks/others.py"),
+    "benchmarks/augmentation.py": (
+        *("cei_gym/*", "!cei_gym/wrapper.py", "!cei_gym/impersonation.py"),
+        *(*_RECORDED, *_CONVERSION, _RECORD, "benchmarks/augmentation.py"),
+    ),
+    "benchmarks/blind_control.py": (*_RECORDED, "cei_gym/embodiment/*", "benchmarks/blind_control.py"),
+    "benchmarks/camera.py": (*_CLOUDS, *_ENVIRONMENTS, "benchmarks/camera.py", "benchmarks/measure.py"),
+    "benchmarks/direction_weight.py": (*_METHOD, *_RECORDED, "benchmarks/direction_weight.py"),
+    "benchmarks/first_frame.py": (*_ALIGNMENT, "benchmarks/first_frame.py"),
+    "benchmarks/impersonation.py": ("cei_gym/*", "!cei_gym/augmentation.py", *_RECORDED, "benchmarks/impersonation.py"),
+    "benchmarks/observation.py": (
+        *(*_CLOUDS, "cei_gym/wrapper.py", *_ENVIRONMENTS, "benchmarks/observation.py", "benchmarks/measure.py"),
+    ),
+    "benchmarks/scale.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/scale.py", "benchmarks/transfer.py"),
+    "benchmarks/training.py": (*_POLICY, *_CONVERSION[-4:], "benchmarks/training.py"),
+    "benchmarks/transfer.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/transfer.py"),
+}
+"""By what a command starts with, `python` left out."""
+
+
+def measured_by(command: str) -> tuple[str, ...]:
+    """What a command measures.
+
+    Raises:
+        CEIError: it is no benchmark that is known here.
+    """
+    for name, patterns in MEASURED.items():
+        if f"{command.removeprefix('python ')} ".startswith(f"{name} "):
+            return patterns
+    raise CEIError(
+        f"what '{command}' measures is not said; add it to MEASURED in cei_converters/benchmark/measured.py."
+    )
