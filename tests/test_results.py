@@ -133,7 +133,9 @@ def test_a_change_makes_older_what_measures_it_and_is_named(path: str, expected:
 
 
 def test_words_alone_make_nothing_older(checkout: Path, capsys: pytest.CaptureFixture) -> None:
-    edit(checkout / "cei_gym/transfer.py", lambda text: text.replace('"""', '"""Otherwise said: ', 1) + "\n# more\n")
+    edit(
+        checkout / "cei_gym/demonstration.py", lambda text: text.replace('"""', '"""Otherwise said: ', 1) + "\n# more\n"
+    )
     specification = checkout / "cei_gym/embodiment/specifications/arms/IIWA.yaml"
     edit(specification, lambda text: f"# more\n{text}")
     assert command.main(["results", f"--results={checkout / 'results'}", "--strict"]) == 0
@@ -262,7 +264,11 @@ def test_files_of_one_run_stand_together_and_those_of_another_take_their_place(t
     manifest = Manifest.read(tmp_path)
     manifest.check()
     assert manifest.figures[0].files == (*names,)
-    manifest.figures[0] = replace(manifest.figures[0], files=("cell-*.json",))
+    manifest.figures = [replace(manifest.figures[0], files=("cell-*.json",), note="By hand."), manifest.figures[1]]
+    manifest.write()
+    before = (tmp_path / "depends.yaml").read_text()
+    manifest.keep(replace(first, files=(names[2],)), code(**THEN))
+    assert (tmp_path / "depends.yaml").read_text() == before
     manifest.keep(replace(second, files=(names[1],)), code(a="x = 1"))
     read = Manifest.read(tmp_path)
     read.check()
@@ -270,6 +276,7 @@ def test_files_of_one_run_stand_together_and_those_of_another_take_their_place(t
         "a": (names[0], names[2]),
         "b": (names[1],),
     }
+    assert read.figure(names[0]).note == "By hand."
     assert len(read.code) == 2
     read.keep(replace(second, files=(names[0], names[2])), code(a="x = 1"))
     assert len(Manifest.read(tmp_path).code) == 1

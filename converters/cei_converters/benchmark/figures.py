@@ -56,8 +56,9 @@ class Figure:
         return any(fnmatchcase(name, pattern) for pattern in self.files)
 
     def of_same_run(self, other: Self) -> bool:
-        """Whether files of both may stand together."""
-        return replace(self, files=(), date=None) == replace(other, files=(), date=None)
+        """Whether files of both may stand together, whatever is noted beside."""
+        bare = {"files": (), "date": None, "note": ""}
+        return replace(self, **bare) == replace(other, **bare)
 
 
 class Manifest:
@@ -145,16 +146,18 @@ class Manifest:
         if code is not None:
             self.code[code.name] = code.digests
             figure = replace(figure, code=code.name)
-        others = []
+        others, place = [], len(self.figures)
         for other in self.figures:
-            kept = other.files
-            if any(other.has(name) for name in figure.files):  # a pattern gives way to names
-                kept = tuple(name for name in self.names() if other.has(name) and not figure.has(name))
             if other.of_same_run(figure):
-                figure = replace(figure, files=tuple(sorted({*kept, *figure.files})))
-            elif kept:
+                known = all(other.has(name) for name in figure.files)
+                files = other.files if known else tuple(sorted({*other.files, *figure.files}))
+                figure, place = replace(figure, files=files, note=other.note), len(others)
+            elif not any(other.has(name) for name in figure.files):
+                others.append(other)
+            # a pattern gives way to names
+            elif kept := tuple(name for name in self.names() if other.has(name) and not figure.has(name)):
                 others.append(replace(other, files=kept))
-        self.figures = [*others, figure]
+        self.figures = [*others[:place], figure, *others[place:]]
         self.write()
 
 
