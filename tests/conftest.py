@@ -22,6 +22,7 @@ LONGEST = (
     "test_envs",
     "test_provenance",
     "test_demo",
+    "test_extras",
 )
 """Files that take half a minute and more. They begin first, so that the processes that share the tests end together."""
 
