@@ -12,6 +12,7 @@ import pytest
 
 SLOW = {
     "test_main_job": 100,
+    "test_extras": 60,
 }
 """Files that take longer than `MOST_S`, and how long, s, alone on an idle core. They begin first, longest first, so that the processes that
 share the tests end together; `--fast` leaves them out."""

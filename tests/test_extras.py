@@ -42,7 +42,7 @@ class Nothing:
 sys.meta_path.insert(0, Nothing())
 every = importlib.metadata.entry_points()
 kept = [point for point in every if point.module.partition(".")[0] not in absent]
-importlib.metadata.entry_points = lambda: importlib.metadata.EntryPoints(kept)
+importlib.metadata.entry_points = lambda **which: importlib.metadata.EntryPoints(kept).select(**which)
 """
 
 
@@ -215,11 +215,11 @@ LACKING = {
         (command("cei-view"), ("--dataset.repo_id=me/pick",), "cei-view needs rerun"),
     ],
     "torch": [
-        (python("import cei_gym.kinematics.torch_chain"), (), "cei_gym.kinematics.torch_chain needs torch"),
+        (python("import cei_gym.kinematics.torch_chain"), (), "TorchChain (the solver 'paper') needs torch"),
         (
             command("cei-convert"),
             ("--solver.backend=paper", "--dry_run"),
-            "the solver 'paper' needs pytorch_kinematics",
+            "TorchChain (the solver 'paper') needs pytorch_kinematics",
         ),
     ],
 }

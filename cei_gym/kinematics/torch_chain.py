@@ -8,7 +8,7 @@ import numpy as np
 
 from cei_gym import extras
 
-with extras.needed_by(__name__):
+with extras.needed_by("TorchChain (the solver 'paper')"):
     import pytorch_kinematics as pk
     import torch
     from pytorch_kinematics.frame import Frame, Joint, Link
