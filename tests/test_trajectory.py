@@ -243,8 +243,8 @@ def test_the_penaltys_gradient_is_its_finite_difference(seed: int) -> None:
     u = home(problem) + rng.uniform(-0.2, 0.2, len(home(problem)))
     u = np.clip(u, *embodiment.independent_limits)
     fingers = problem.tree.forward(embodiment.coupled.expand(u))[idle_bodies(problem)][:, :3, 3]
-    obstacles, begin = pack_obstacles(Surroundings(0.0, [fingers + rng.normal(0, 0.01, fingers.shape)]), 1)
-    obstacles = obstacles[begin[0] : begin[1]]
+    packed = pack_obstacles(Surroundings(0.0, [fingers + rng.normal(0, 0.01, fingers.shape)]), 1)
+    obstacles = collision.at_frame(packed, 0)
     memory = frame.empty_memory(target, 4)
     load_source(*(x[0, :4].copy() for x in reach(1)), memory.source)
 

@@ -80,8 +80,8 @@ class Follower:
         assert motion.surroundings is not None
         target, collision = self._links
         collision = collision._replace(height_m=float(motion.surroundings.support_z_base_m))
-        obstacles, start = pack_obstacles(motion.surroundings, len(u))
-        return shortfall(target, collision, obstacles, start, np.ascontiguousarray(u, float))
+        obstacles = pack_obstacles(motion.surroundings, len(u))
+        return shortfall(target, collision, obstacles, np.ascontiguousarray(u, float))
 
     def _too_near(self, motion: Motion, track: Track) -> bool:
         if motion.surroundings is None or self.options.clearance.weight <= 0:

@@ -5,7 +5,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from cei_gym.alignment.kernels.collision import CollisionConstraint
+from cei_gym.alignment.kernels.collision import CollisionConstraint, Obstacles
 from cei_gym.alignment.options import ClearanceOptions
 from cei_gym.alignment.problem import AlignmentProblem, Surroundings
 from cei_gym.embodiment.embodiment import Embodiment
@@ -105,13 +105,13 @@ def collision_constraint(problem: AlignmentProblem, options: ClearanceOptions) -
     )
 
 
-def pack_obstacles(surroundings: Surroundings | None, frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """(P, 3) points of all frames in one array, and (T + 1,) where each frame's start."""
+def pack_obstacles(surroundings: Surroundings | None, frames: int) -> Obstacles:
+    """The points of all frames for compiled code."""
     points = () if surroundings is None else surroundings.obstacles_base
     start = np.zeros(frames + 1, np.int64)
     if len(points):
         start[1:] = np.cumsum([len(p) for p in points])
-    return np.concatenate([np.zeros((0, 3)), *points]), start
+    return Obstacles(np.concatenate([np.zeros((0, 3)), *points]), start)
 
 
 def _axis_base(joints: JointTree) -> np.ndarray:

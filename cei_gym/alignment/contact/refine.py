@@ -53,8 +53,8 @@ class GraspRefiner:
             grasp,
             away._replace(height_m=support),
             pads,
-            *around,
-            *elsewhere,
+            around,
+            elsewhere,
             kernels.GripArrays(grip.axis, grip.contacts, grip.position, grip.rotation, grip.held, reference),
             (motion.dt_s or 0.0) * self._options.velocity_scale,
             np.ascontiguousarray(track.u, float),
@@ -68,7 +68,7 @@ class GraspRefiner:
             return np.zeros(len(u)), [""] * len(u)
         target, _, away, pads = self._arrays
         _, around, elsewhere = self._surroundings(motion, grip, len(u))
-        depth_m, which = kernels.overlaps(target, away, pads, *around, *elsewhere, np.ascontiguousarray(u, float))
+        depth_m, which = kernels.overlaps(target, away, pads, around, elsewhere, np.ascontiguousarray(u, float))
         return depth_m, [self._problem.embodiment.link_names[body] for body in which]
 
     def _grip(self, motion: Motion) -> Grip | None:

@@ -15,6 +15,24 @@ from cei_gym.alignment.kernels.target import empty_pose
 from cei_gym.compiled import njit
 
 
+class Obstacles(NamedTuple):
+    """Points on objects over T frames.
+
+    Attributes:
+        points: (P, 3) of all frames, base frame, m.
+        start: (T + 1,) those of frame t are `points[start[t] : start[t + 1]]`.
+    """
+
+    points: np.ndarray
+    start: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def at_frame(obstacles, t):
+    """(P', 3) the points of one frame."""
+    return obstacles.points[obstacles.start[t] : obstacles.start[t + 1]]
+
+
 class CollisionConstraint(NamedTuple):
     """Links, and what they stay clear of, in the target's base frame.
 
@@ -136,14 +154,14 @@ def nearest(collision, link, obstacles, pose, k, cutoff_m, point, normal):
 
 
 @njit(cache=True, nogil=True)
-def shortfall(target, collision, obstacles, obstacle_start, u):
+def shortfall(target, collision, obstacles, u):
     """(T,) clearance that the worst link lacks at (T, m) configurations, m."""
     pose = empty_pose(target, 1)
     worst = np.zeros(len(u))
     point, normal = np.empty(3), np.empty(3)
     for t in range(len(u)):
         place_joints(target, u[t], pose)
-        around = obstacles[obstacle_start[t] : obstacle_start[t + 1]]
+        around = at_frame(obstacles, t)
         for link in range(len(collision.joint)):
             k, margin = collision.joint[link], collision.margin_m[link]
             worst[t] = max(worst[t], collision.height_m + margin - _lowest(collision, link, pose, k, point))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cei_gym.alignment.kernels.collision import nearest
+from cei_gym.alignment.kernels.collision import at_frame, nearest
 from cei_gym.alignment.kernels.contact import GraspTarget, Links, contact_points, grasp_energy
 from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.frame import empty_memory
@@ -87,7 +87,7 @@ def _miss(grasp, axis, contacts, points):
 
 
 @njit(cache=True, nogil=True)
-def overlaps(target, away, pads, around, around_start, elsewhere, elsewhere_start, u):
+def overlaps(target, away, pads, around, elsewhere, u):
     """(T,) how deep links are in points at (T, m) configurations, m, and (T,) which link is deepest; points as for `refine`."""
     pose = empty_pose(target, 1)
     deepest, which = np.zeros(len(u)), np.zeros(len(u), np.int64)
@@ -95,8 +95,8 @@ def overlaps(target, away, pads, around, around_start, elsewhere, elsewhere_star
     for t in range(len(u)):
         place_joints(target, u[t], pose)
         for links, points in (
-            (away, around[around_start[t] : around_start[t + 1]]),
-            (pads, elsewhere[elsewhere_start[t] : elsewhere_start[t + 1]]),
+            (away, at_frame(around, t)),
+            (pads, at_frame(elsewhere, t)),
         ):
             for link in range(len(links.joint)):
                 if links.idle[link]:
@@ -107,12 +107,11 @@ def overlaps(target, away, pads, around, around_start, elsewhere, elsewhere_star
 
 
 @njit(cache=True, nogil=True)
-def refine(target, grasp, away, pads, around, around_start, elsewhere, elsewhere_start, grip, dt_s, followed):
+def refine(target, grasp, away, pads, around, elsewhere, grip, dt_s, followed):
     """Refine a trajectory (T, m), frame by frame, each started from the last.
 
     Args:
-        away: links that keep clear of `around`; pads: those that only keep clear of `elsewhere`, what is not gripped. Points
-            (K, 3) of all frames in one array, frame t's between `start[t]` and `start[t + 1]`.
+        away: links that keep clear of `around`; pads: those that only keep clear of `elsewhere`, what is not gripped.
         grip: see `GripArrays`.
         dt_s: time between frames; 0 leaves speeds unlimited.
 
@@ -200,8 +199,8 @@ def refine(target, grasp, away, pads, around, around_start, elsewhere, elsewhere
         links = Links(
             away,
             pads,
-            around[around_start[t] : around_start[t + 1]],
-            elsewhere[elsewhere_start[t] : elsewhere_start[t + 1]],
+            at_frame(around, t),
+            at_frame(elsewhere, t),
         )
         _solve(target, grasp, links, wanted, anchor, lower, upper, memory, points, trial_points, u)
         if holding:

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from cei_gym.alignment.kernels.collision import at_frame
 from cei_gym.alignment.kernels.distance import evaluate
 from cei_gym.alignment.kernels.frame import Settings, empty_memory, solve_frame
 from cei_gym.alignment.kernels.quadratic import add_distance, project
@@ -25,7 +26,7 @@ _FULL_SPEED = 0.999
 
 
 @njit(cache=True, nogil=True)
-def _track(target, points, normals, settings, collision, obstacles, obstacle_start, dt_s, u0, room):
+def _track(target, points, normals, settings, collision, obstacles, dt_s, u0, room):
     """Joints, DCDs and iterations of each frame, and which of the source's it shows; `room` is for those shown again."""
     most, m = len(points) + room, len(u0)
     us, dcds, spent, shown = np.empty((most, m)), np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
@@ -34,7 +35,7 @@ def _track(target, points, normals, settings, collision, obstacles, obstacle_sta
     last, before = u.copy(), u.copy()
     source, frames = 0, 0
     while source < len(points):
-        around = obstacles[obstacle_start[source] : obstacle_start[source + 1]]
+        around = at_frame(obstacles, source)
         # The first frame has no frame before it to stay near to.
         dcds[frames], spent[frames] = solve_frame(
             target,
@@ -135,7 +136,7 @@ class NewtonSolver(SecondOrderSolver):
         if surroundings is not None:
             target, collision = self._guarded
             collision = collision._replace(height_m=float(surroundings.support_z_base_m))
-        obstacles, obstacle_start = pack_obstacles(surroundings, len(motion.points_base))
+        obstacles = pack_obstacles(surroundings, len(motion.points_base))
         settings = self._settings if iterations is None else self._settings._replace(iterations=iterations)
         u, objective, spent, shown = _track(
             target,
@@ -144,7 +145,6 @@ class NewtonSolver(SecondOrderSolver):
             settings,
             collision,
             obstacles,
-            obstacle_start,
             (motion.dt_s or 0.0) * self.options.velocity_scale,
             np.ascontiguousarray(motion.u0, float),
             room,
