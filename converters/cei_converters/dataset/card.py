@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cei_converters.dataset import schema
-from cei_converters.dataset.card_markdown import flat, listed, table
+from cei_converters.dataset.card_markdown import flat, listed, markdown_table
 from cei_converters.dataset.card_records import augmented, quality, verified
 from cei_converters.dataset.license import CARD_PATH, FIELDS, license_files
 from cei_converters.dataset.metadata import METADATA_PATH, Metadata, Source
@@ -135,7 +135,7 @@ def _columns(metadata: Metadata) -> str:
         parts.append(f"Carried over from the source as they are, frame by frame: {listed(source.carried)}.")
     if source.dropped:
         rows: list[tuple[Any, ...]] = [(f"`{name}`", reason) for name, reason in source.dropped.items()]
-        parts.append("Not carried over:\n\n" + table(("feature", "why"), rows))
+        parts.append("Not carried over:\n\n" + markdown_table(("feature", "why"), rows))
     if table:
         parts.append(f"The table is taken to be at {table['z_m']:g} m (world), by {table['said_by']}.")
     return "## Other features\n\n" + "\n\n".join(parts) if parts else ""
@@ -155,10 +155,10 @@ def _layout(metadata: Metadata, info: dict) -> str:
         (camera.name, f"{camera.width}x{camera.height}", np.round(np.diag(camera.K)[:2], 2).tolist())
         for camera in metadata.scene.cameras
     ]
-    parts = ["## Layout, frames, units", table(("feature", "type", "shape", "entries"), features)]
+    parts = ["## Layout, frames, units", markdown_table(("feature", "type", "shape", "entries"), features)]
     parts.append("\n".join(f"- {name}: {text}" for name, text in metadata.conventions.items()))
     if cameras:
-        parts.append(table(("camera", "pixels", "focal length (px)"), cameras))
+        parts.append(markdown_table(("camera", "pixels", "focal length (px)"), cameras))
     parts.append(f"Poses, intrinsics and workspace are in `{METADATA_PATH}`.")
     parts.append(_read_by_policies(info))
     return "\n\n".join(parts)
@@ -216,7 +216,7 @@ def _provenance(root: Path, metadata: Metadata, records: Records) -> str:
         rows += [(f"about {name}", note) for name, notes in provenance.notes.items() for note in notes]
         rows += [(f"version of {name}", value) for name, value in provenance.versions.items()]
         rows += [(f"`--{name}`", f"`{value}`") for name, value in flat(provenance.options)]
-        parts.append(table(("", ""), rows))
+        parts.append(markdown_table(("", ""), rows))
     return "\n\n".join(parts)
 
 

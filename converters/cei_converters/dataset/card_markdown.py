@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 
-def table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
+def markdown_table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
     """A table in Markdown."""
     lines = [header, tuple("---" for _ in header), *rows]
     return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)

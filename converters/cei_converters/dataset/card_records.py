@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cei_converters.dataset.card_markdown import table
+from cei_converters.dataset.card_markdown import markdown_table
 from cei_converters.dataset.metadata import PICTURE_PATH, Metadata
 from cei_converters.dataset.records import RECORDS_PATH, Record, Records
 
@@ -34,7 +34,7 @@ def quality(root: Path, metadata: Metadata, records: Records) -> str:
     if scored:
         parts.append(PARTS + _gated(metadata, records))
     text = f"Over the episodes; per episode in `{RECORDS_PATH}`."
-    return "\n\n".join([*parts, text, table(("per episode", "mean", "least", "largest"), rows)])
+    return "\n\n".join([*parts, text, markdown_table(("per episode", "mean", "least", "largest"), rows)])
 
 
 def _spread(records: Iterable[Record]) -> list[tuple[str, ...]]:
@@ -69,7 +69,7 @@ def augmented(records: Records) -> str:
         f"## Spatial augmentation\n\n{len(recorded)} recorded episodes became {recorded.total()}: in each, all objects are moved as one from where they were recorded, and the hand goes where they are. "
         "Their points move rigidly: what a camera did not see of them, or behind them, where they were recorded is also missing "
         f"where they are now. Per episode in `{RECORDS_PATH}`, under `offset`; `seed` there is that of the recorded start.\n\n"
-        + table(("offset", "mean", "least", "largest"), rows)
+        + markdown_table(("offset", "mean", "least", "largest"), rows)
     )
 
 
@@ -90,4 +90,4 @@ def verified(metadata: Metadata, records: Records) -> str:
     if dropped:
         text += f"Left out are {len(dropped)} in which nothing did. "
     text += f"Per episode in `{RECORDS_PATH}`, under `verified`.\n\n"
-    return text + table(("transfer", "episodes"), list(kept.items()))
+    return text + markdown_table(("transfer", "episodes"), list(kept.items()))
