@@ -52,9 +52,8 @@ SLOW = {
     "test_outputs": 17,
     "test_writing": 17,
 }
-"""Files of tests that take longer than `MOST_S`, and how long: seconds of one core, of a busy machine where they are
-round. They begin first, longest first, so that the processes that
-share the tests end together; `--fast` leaves them out."""
+"""Files of tests that take longer than `MOST_S`, and how many seconds of one core (round numbers are estimates). They begin first, longest
+first, so that the processes that share the tests end together; `--fast` leaves them out."""
 
 MOST_S = 16
 
