@@ -252,8 +252,8 @@ def test_one_line_says_what_to_install(
 
 @pytest.mark.parametrize("solver", ["torch", "paper"])
 def test_solvers_without_torch(solver: str) -> None:
-    code = "from cei_gym.alignment import SolverOptions, solvers; "
-    made = python(f"{code}solvers.make_second_order_solver(None, SolverOptions(backend={solver!r}))")
+    code = "from cei_gym.alignment import SolverOptions; from cei_gym.alignment.solvers import make; "
+    made = python(f"{code}make.make_second_order_solver(None, SolverOptions(backend={solver!r}))")
     done = without(EXTRAS["torch"].modules, made)
     assert done.stderr == f'error: the solver {solver!r} needs torch: pip install "cei-gym[torch]".\n'
 
