@@ -44,17 +44,23 @@ def attached(
         return nothing
     hands = T_hand[keys]
     local = [_into(T, points) for T, points in zip(hands, near, strict=True)]
+    at_hand, in_world = [_tree(points) for points in local], [_tree(scenes[int(t)]) for t in keys]
     apart = np.linalg.norm(hands[:, None, :3, 3] - hands[None, :, :3, 3], axis=-1) > _MOVED_M
     tool = []
     for i, (points, mine) in enumerate(zip(near, local, strict=True)):
         others = [int(j) for j in np.flatnonzero(apart[i])]
         if others:
-            votes = np.sum([_has(local[j], mine) & ~_has(scenes[int(keys[j])], points) for j in others], axis=0)
+            votes = np.sum([_has(at_hand[j], mine) & ~_has(in_world[j], points) for j in others], axis=0)
             tool.append(mine[votes >= _MOSTLY * len(others)])
     model = np.concatenate(tool) if tool else np.zeros((0, 3))
     if len(model) < _FEWEST:
         return nothing
-    return [_has(model, _into(T, points)) for T, points in zip(T_hand, scenes, strict=True)]
+    tree = _tree(model)
+    return [_has(tree, _into(T, points)) for T, points in zip(T_hand, scenes, strict=True)]
+
+
+def _tree(cloud: np.ndarray) -> KDTree | None:
+    return KDTree(cloud) if len(cloud) else None
 
 
 def _into(T: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -62,8 +68,8 @@ def _into(T: np.ndarray, points: np.ndarray) -> np.ndarray:
     return (points - T[:3, 3]) @ T[:3, :3]
 
 
-def _has(cloud: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(P,) whether a cloud has a point where each of (P, 3) is."""
-    if not len(points) or not len(cloud):
+def _has(cloud: KDTree | None, points: np.ndarray) -> np.ndarray:
+    """(P,) whether a cloud has a point where each of (P, 3) is; None has none."""
+    if cloud is None or not len(points):
         return np.zeros(len(points), dtype=bool)
-    return KDTree(cloud).query(points, distance_upper_bound=_SAME_M)[0] < np.inf
+    return cloud.query(points, distance_upper_bound=_SAME_M)[0] < np.inf
