@@ -1,11 +1,17 @@
 """What goes with a hand that holds nothing is a tool, or what a mask has left of the robot, and no obstacle."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from cei_converters import convert
 from cei_gym.pointcloud.attached import attached
 
 FRAMES = 20
+ROOT = Path(__file__).parents[1]
+EGG = ROOT.parent / "shared/datasets/demogen_egg.zarr"
 
 
 def path(step_m: float) -> np.ndarray:
@@ -72,3 +78,18 @@ def test_nothing_near_is_nothing(table: np.ndarray) -> None:
     for clouds in ([np.zeros((0, 3))] * FRAMES, [table + 5.0] * FRAMES):
         assert [len(its) for its in found(T_hand, clouds)] == [len(cloud) for cloud in clouds]
         assert not np.concatenate(found(T_hand, clouds)).any()
+
+
+@pytest.mark.skipif(not EGG.exists(), reason="needs ../shared/datasets")
+def test_a_spatula_is_nothing_to_keep_clear_of_and_a_conversion_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A real Panda holds it throughout, and its recording does not say that it holds anything."""
+    found = tmp_path / "found.json"
+    arguments = ["--dataset.repo_id=demogen/egg", f"--dataset.root={EGG}", "--episodes=0,2", "--target=UR5e-Inspire"]
+    more = [f"--joint_map={ROOT / 'examples/egg/joint_map.yaml'}", f"--json={found}", "--dry_run"]
+    assert convert.main(arguments + more) == 0
+    for entry in json.loads(found.read_text())["results"]:
+        assert entry["penetration_mm_max"] < 3
+        assert entry["tool_points_mean"] > 100
+    assert "note: in episodes 0, 2 the source's hand has something with it all the time" in capsys.readouterr().out

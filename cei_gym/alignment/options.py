@@ -1,5 +1,6 @@
 """How to align: options of the solver, of what links keep clear of, and of contact."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +11,12 @@ from cei_gym.functional.distance import DEFAULT_DIRECTION_WEIGHT_M
 
 AUTO = "auto"
 DEVICES = ("auto", "cpu", "cuda", "mps")
+
+
+def _check_at_least_0(options: str, values: Mapping[str, float]) -> None:
+    for name, value in values.items():
+        if not 0 <= value < np.inf:
+            raise CEIError(f"{options}.{name}={value} must be at least 0.")
 
 
 @dataclass(frozen=True)
@@ -52,9 +59,7 @@ class ClearanceOptions:
     idle_margin_m: float = 0.005
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0 <= value < np.inf:
-                raise CEIError(f"solver.clearance.{name}={value} must be at least 0.")
+        _check_at_least_0("solver.clearance", vars(self))
 
 
 @dataclass(frozen=True)
@@ -97,11 +102,8 @@ class SolverOptions:
                 f"solver.device={self.device} is where torch computes, which solver.backend={self.backend} does without; "
                 "give solver.backend=torch, or leave it out."
             )
-        for name in ("lambda_m", "temporal_weight", "smoothness_weight", "velocity_scale", "tolerance"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise CEIError(f"solver.{name}={getattr(self, name)} must be at least 0.")
-        if self.iterations < 0:
-            raise CEIError(f"solver.iterations={self.iterations} must be at least 0.")
+        names = ("lambda_m", "temporal_weight", "smoothness_weight", "velocity_scale", "tolerance", "iterations")
+        _check_at_least_0("solver", {name: getattr(self, name) for name in names})
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,4 @@ class ContactOptions:
     grip_radius_m: float = 0.03
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0 <= value < np.inf:
-                raise CEIError(f"contact.{name}={value} must be at least 0.")
+        _check_at_least_0("contact", vars(self))

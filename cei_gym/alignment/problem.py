@@ -18,10 +18,12 @@ class Surroundings:
     Attributes:
         support_z_base_m: height of the support surface.
         obstacles_base: for each frame (P, 3) points on the surface of objects, m; empty for none.
+        tool_points: how many points a frame, in the mean, were taken for what the source's hand has with it, and for no obstacle.
     """
 
     support_z_base_m: float
     obstacles_base: Sequence[np.ndarray] = ()
+    tool_points: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -126,6 +126,8 @@ class Following:
             motion.dt_s,
             self._follower.penetration(motion, track.u),
         )
+        if motion.surroundings is not None:
+            report = replace(report, tool_points=motion.surroundings.tool_points)
         if not report.unreachable_frames:
             return report
         return replace(report, miss=self._reach.explain(motion, track, int(report.pad_distance_mm.argmax())))

@@ -53,8 +53,8 @@ class Scenes:
         motion: Motion,
         T_world_target: np.ndarray,
         hand: np.ndarray,
-    ) -> list[np.ndarray]:
-        """For each frame (P, 3) points on what stands on the support surface near the hand, target's base frame.
+    ) -> tuple[list[np.ndarray], float]:
+        """What stands on the support surface near the hand, target's base frame.
 
         Args:
             demonstration: of the source.
@@ -62,6 +62,9 @@ class Scenes:
             motion: of its pads, with its grip.
             T_world_target: (4, 4) pose of the target's base.
             hand: (T, 4, 4) pose of the source's hand in the target's base frame.
+
+        Returns:
+            For each frame (P, 3) points on it, m; and how many points a frame, in the mean, the hand has with it all the time.
         """
         T_base_world = np.linalg.inv(T_world_target)
         floor = demonstration.scene.support_z_m + _ABOVE_SUPPORT_M
@@ -74,7 +77,7 @@ class Scenes:
         middle = motion.points_base.mean(axis=1)
         tool = attached(objects, hand, middle, ~held, _NEAR_HAND_M)
         objects = [points[~its] for points, its in zip(objects, tool, strict=True)]
-        return remember(objects, middle, moved, _NEAR_HAND_M)
+        return remember(objects, middle, moved, _NEAR_HAND_M), float(np.mean([its.sum() for its in tool]))
 
     def clouds(
         self, demonstration: Demonstration, scenes: Sequence[np.ndarray], qpos: np.ndarray, T_world_target: np.ndarray

@@ -77,14 +77,17 @@ class SourceSide:
         surroundings = Surroundings(self.support_z_m(demonstration))
         return replace(motion, grip=self._grip(demonstration, motion), surroundings=surroundings)
 
-    def among(self, demonstration: Demonstration, motion: Motion, obstacles_base: list[np.ndarray]) -> Motion:
-        """The motion among objects, (P, 3) points of each frame in the target's base frame: grips are where objects are."""
+    def among(
+        self, demonstration: Demonstration, motion: Motion, obstacles_base: list[np.ndarray], tool_points: float
+    ) -> Motion:
+        """The motion among objects: grips are where objects are. The last two arguments are those of `Surroundings`."""
         assert motion.surroundings is not None
         grip = motion.grip
         if grip is not None and self._pads is not None and len(obstacles_base):
             pads = np.concatenate(self._pads.place(self.links(demonstration)), axis=1)
             grip = onto_objects(grip, pads, obstacles_base, self._contact.grip_radius_m)
-        return replace(motion, grip=grip, surroundings=replace(motion.surroundings, obstacles_base=obstacles_base))
+        around = replace(motion.surroundings, obstacles_base=obstacles_base, tool_points=tool_points)
+        return replace(motion, grip=grip, surroundings=around)
 
     def squeeze_m(self, demonstration: Demonstration, motion: Motion) -> np.ndarray:
         """(T,) how far the pads press into what they hold, m."""

@@ -204,8 +204,9 @@ class Transfer:
         if not len(scenes):
             return motion
         base, hand = self._side.T_world_target(demonstration), self._side.hand(demonstration)
-        obstacles = self._scenes.obstacles(demonstration, scenes, motion, base, hand)
-        return self._side.among(demonstration, motion, obstacles)
+        return self._side.among(
+            demonstration, motion, *self._scenes.obstacles(demonstration, scenes, motion, base, hand)
+        )
 
     def _follow(
         self, demonstration: Demonstration, motion: Motion, mode: int, attempt: Attempt

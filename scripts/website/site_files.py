@@ -7,17 +7,17 @@ from pathlib import Path
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
 
+from cei_converters.benchmark.marks import documents
+
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("docs", "results", "examples")
 """All that is in them is on the site, so that links to data and code lead somewhere."""
-NOT_OURS = ("build", "dist", "outputs", "data", "node_modules")
-"""Folders of a checkout whose documents are not the project's; as in tests/smoke/documents.py."""
 _PAGE = "README.md"
 
 
 def collect(config: MkDocsConfig) -> list[File]:
     """Of a site that is made from this checkout."""
-    found = [*_documents(), *(path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if _shown(path))]
+    found = [*documents(ROOT), *(path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if _shown(path))]
     paths = sorted({path.relative_to(ROOT).as_posix() for path in found} | {"LICENSE"})
     files = [File.generated(config, path, abs_src_path=str(ROOT / path)) for path in paths]
     for folder in sorted({posixpath.dirname(path) for path in paths if path.startswith(FOLDERS)}):
@@ -38,11 +38,6 @@ def link_pages(markdown: str, src_uri: str, files: Files) -> str:
         return found[0] if page is None else f"]({found[1].rstrip('/')}/{_PAGE})"
 
     return re.sub(r"\]\(([^)\s#:]+)\)", lead, markdown)
-
-
-def _documents() -> list[Path]:
-    folders = [path for path in ROOT.iterdir() if path.is_dir() and path.name not in NOT_OURS and path.name[0] != "."]
-    return [*ROOT.glob("*.md"), *(path for folder in folders for path in folder.rglob("*.md"))]
 
 
 def _shown(path: Path) -> bool:

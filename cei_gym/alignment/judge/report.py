@@ -31,6 +31,7 @@ class AlignmentReport:
         unreachable_mm: pad distance above which a frame counts as out of the target's reach.
         penetrating: link, and what it is in, where that is deepest; empty where nothing touches.
         miss: why it is out of reach, if it is anywhere.
+        tool_points: see `Surroundings`.
     """
 
     pad_distance_mm: np.ndarray
@@ -45,6 +46,7 @@ class AlignmentReport:
     unreachable_mm: float
     penetrating: tuple[str, ...] = ()
     miss: Miss | None = None
+    tool_points: float = 0.0
 
     @property
     def unreachable_frames(self) -> list[int]:
@@ -73,6 +75,7 @@ class AlignmentReport:
             "penetrates": self.penetrates,
             "unreachable_frames": self.unreachable_frames,
             "unreachable_because": None if self.miss is None else str(self.miss),
+            **({"tool_points_mean": self.tool_points} if self.tool_points else {}),
         }
 
 

@@ -18,7 +18,7 @@ from cei_gym.alignment.kernels.quadratic import add_distance, project
 from cei_gym.alignment.kernels.target import load_source, make_target
 from cei_gym.alignment.links import collision_constraint, no_collision_constraint, pack_obstacles
 from cei_gym.alignment.options import SolverOptions
-from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 from cei_gym.alignment.solvers.solver import SecondOrderSolver
 from cei_gym.compiled import njit
 
@@ -105,18 +105,6 @@ class NewtonSolver(SecondOrderSolver):
         """The target with all its joints (idle fingers move out of the way, too), and its links."""
         whole = make_target(self._problem.representation, self._problem.tree, all_joints=True)
         return whole, collision_constraint(self._problem, self.options.clearance)
-
-    def track(
-        self,
-        points_base,
-        normals_base,
-        u0,
-        iterations: int | None = None,
-        dt_s: float | None = None,
-        surroundings: Surroundings | None = None,
-    ) -> Track:
-        """See `Solver.track`."""
-        return self._track(Motion(points_base, normals_base, u0, iterations, dt_s, surroundings))[1]
 
     def track_waiting(self, motion: Motion, room: int) -> tuple[np.ndarray, Track]:
         """Follow a motion freely, showing again each frame in which a joint moves as fast as it can.

@@ -18,7 +18,7 @@ from cei_gym.alignment.kernels.step import DAMPING, EASED, LARGEST_STEP, LEAST_D
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import collision_constraint
 from cei_gym.alignment.options import SolverOptions
-from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 from cei_gym.alignment.solvers.device import choose_device, widest_real
 from cei_gym.alignment.solvers.solver import SecondOrderSolver
 from cei_gym.alignment.solvers.torch_model import TorchModel
@@ -89,18 +89,6 @@ class TorchNewtonSolver(SecondOrderSolver):
     def _guarded(self) -> TorchModel:
         """The target with all its joints (idle fingers move out of the way, too), and its links."""
         return self._model(guarded=True)
-
-    def track(
-        self,
-        points_base,
-        normals_base,
-        u0,
-        iterations: int | None = None,
-        dt_s: float | None = None,
-        surroundings: Surroundings | None = None,
-    ) -> Track:
-        """See `Solver.track`."""
-        return self.track_all([Motion(points_base, normals_base, u0, iterations, dt_s, surroundings)])[0]
 
     def track_all(self, motions: Sequence[Motion]) -> list[Track]:
         """See `Solver.track_all`: one batch for each number of points, with surroundings and without."""

@@ -37,14 +37,8 @@ class PaperSolver(Solver):
         self._A, self._b = tensor(embodiment.coupled.A), tensor(embodiment.coupled.offset)
         self._lower, self._upper = (tensor(x) for x in embodiment.independent_limits)
 
-    def track(
-        self, points_base, normals_base, u0, iterations: int | None = None, dt_s=None, surroundings=None
-    ) -> Track:
-        """See `Solver.track`; `iterations` are Adam steps."""
-        return self.track_all([Motion(points_base, normals_base, u0, iterations)])[0]
-
     def track_all(self, motions: Sequence[Motion]) -> list[Track]:
-        """See `Solver.track_all`; the first motion's `iterations` hold for all."""
+        """See `Solver.track_all`; `iterations` are Adam steps, and the first motion's hold for all."""
         if not motions:
             return []
         lengths = [len(m.points_base) for m in motions]

@@ -23,6 +23,9 @@ class Solver(ABC):
     def __init__(self, problem: AlignmentProblem, options: SolverOptions) -> None: ...
 
     @abstractmethod
+    def track_all(self, motions: Sequence[Motion]) -> list[Track]:
+        """Follow many trajectories, in parallel."""
+
     def track(
         self,
         points_base: np.ndarray,
@@ -41,10 +44,7 @@ class Solver(ABC):
             dt_s: time between frames; with it, joints keep their velocity limits.
             surroundings: with it, links keep clear of them (`ClearanceOptions`).
         """
-
-    @abstractmethod
-    def track_all(self, motions: Sequence[Motion]) -> list[Track]:
-        """Follow many trajectories, in parallel."""
+        return self.track_all([Motion(points_base, normals_base, u0, iterations, dt_s, surroundings)])[0]
 
 
 class SecondOrderSolver(Solver):

@@ -9,7 +9,7 @@ from typing import Any, Self
 from cei_converters.benchmark.figures import DIRTY, Figure, Manifest, said_by
 from cei_converters.benchmark.measured import measured_by
 from cei_converters.benchmark.measured_code import Code, checkout, git
-from cei_converters.dataset.provenance import PACKAGES, git_commit, versions
+from cei_converters.dataset.provenance import PACKAGES, command_line, git_commit, versions
 from cei_gym.errors import CEIError
 
 
@@ -32,6 +32,18 @@ class Run:
         """This process's."""
         root = checkout()
         return cls(git_commit(), versions(packages), None if root is None else Code.of_folder(root))
+
+
+def command_of(prog: str, config: Any, *left_out: str) -> str:
+    """A benchmark's command.
+
+    Args:
+        prog: its words, such as `cei-benchmark replay`.
+        config: its options.
+        left_out: names of those that only say where things are put, and how.
+    """
+    default = type(config)()
+    return command_line(prog, replace(config, **{name: getattr(default, name) for name in left_out}))
 
 
 def keep(folder: Path, files: Iterable[str], command: str, run: Run, seeds: Sequence[int] | None = None) -> None:

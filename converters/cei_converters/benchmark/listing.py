@@ -1,14 +1,14 @@
 """`cei-benchmark results`: which figures are older than the code that they measure. `make results` runs it."""
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from cei_converters.benchmark.ages import Aged, ages, shortened
 from cei_converters.benchmark.figures import Manifest
 from cei_converters.benchmark.keeping import fill
-from cei_converters.benchmark.marks import marked
+from cei_converters.benchmark.marks import documents, marked
 from cei_converters.cli import run
 from cei_converters.cli.table import PIPE_WIDTH
 from cei_gym.errors import CEIError
@@ -18,7 +18,6 @@ EXAMPLE = """example:
   cei-benchmark results --mark
   cei-benchmark results --strict"""
 FEW = 3  # changed files of a figure that are named without --every
-NOT_OURS = ("build", "dist", "outputs", "data", "node_modules")
 
 
 @dataclass
@@ -77,18 +76,13 @@ def _few(names: Sequence[str], every: bool) -> list[str]:
 
 def _mark(root: Path, found: Sequence[Aged], write: bool) -> None:
     """Rewrite documents whose marks are not as they should be, or name them."""
-    for document in _documents(root):
+    for document in documents(root):
         text = marked(document, found)
         if text != document.read_text():
             if write:
                 document.write_text(text)
             said = "marked" if write else "marks are out of date; make results RESULTS_ARGS=--mark"
             print(f"{document.relative_to(root)}: {said}.")
-
-
-def _documents(root: Path) -> Iterable[Path]:
-    folders = [path for path in root.iterdir() if path.is_dir() and path.name not in NOT_OURS and path.name[0] != "."]
-    return sorted({*root.glob("*.md"), *(path for folder in folders for path in folder.rglob("*.md"))})
 
 
 def main(args: list[str] | None = None) -> int:

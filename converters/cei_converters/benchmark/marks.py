@@ -15,8 +15,16 @@ from cei_converters.benchmark.ages import Aged, shortened
 from cei_gym.errors import CEIError
 
 OLDER = ", older than the code"
+NOT_OURS = ("build", "dist", "outputs", "data", "node_modules")
+"""Folders of a checkout whose documents are not the project's; as in tests/smoke/documents.py, which imports nothing of ours."""
 _MARK = re.compile(r"<!-- measured (\S+) -->(.*?)<!-- end -->", re.DOTALL)
 _FENCED = re.compile(r"^ *(```+|~~~+).*?^ *\1 *$", re.DOTALL | re.MULTILINE)
+
+
+def documents(root: Path) -> list[Path]:
+    """All Markdown of a checkout, but for what is hidden."""
+    folders = [path for path in root.iterdir() if path.is_dir() and path.name not in NOT_OURS and path.name[0] != "."]
+    return sorted({*root.glob("*.md"), *(path for folder in folders for path in folder.rglob("*.md"))})
 
 
 def marked(document: Path, aged: Sequence[Aged]) -> str:

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -144,11 +144,9 @@ def _run(cells: list[PolicyCell], stages: Stages, config: PolicyBenchmarkConfig)
 
 def _command(config: PolicyBenchmarkConfig) -> str:
     """The command, less where it puts things and how."""
-    from cei_converters.dataset.provenance import command_line
+    from cei_converters.benchmark.keeping import command_of
 
-    default = PolicyBenchmarkConfig()
-    same = {"results": default.results, "work": default.work, "jobs": None, "stage": "all", "redraw": False}
-    return command_line("cei-benchmark", replace(config, **same)).replace("cei-benchmark", "cei-benchmark policy", 1)
+    return command_of("cei-benchmark policy", config, "results", "work", "jobs", "stage", "redraw")
 
 
 def main(args: list[str] | None = None) -> int:

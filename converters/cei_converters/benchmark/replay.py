@@ -121,11 +121,9 @@ def _line(found: dict[str, Any]) -> str:
 
 def _command(config: ReplayBenchmarkConfig) -> str:
     """The command, less where it puts things and how."""
-    from cei_converters.dataset.provenance import command_line
+    from cei_converters.benchmark.keeping import command_of
 
-    default = ReplayBenchmarkConfig()
-    same = {"results": default.results, "work": default.work, "jobs": None, "keep_datasets": False, "redraw": False}
-    return command_line("cei-benchmark", replace(config, **same)).replace("cei-benchmark", "cei-benchmark replay", 1)
+    return command_of("cei-benchmark replay", config, "results", "work", "jobs", "keep_datasets", "redraw")
 
 
 def _draw(results: Results, config: ReplayBenchmarkConfig) -> None:

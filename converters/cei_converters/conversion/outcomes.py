@@ -18,7 +18,7 @@ from cei_converters.conversion.verify import check_kept, sentence, summarise
 
 # a table of more rows is nobody's to read
 _ROWS, _WORST = 50, 20
-_BECAUSE, _PENETRATES = "unreachable_because", "penetrates"
+_BECAUSE, _PENETRATES, _TOOL = "unreachable_because", "penetrates", "tool_points_mean"
 
 
 def outcomes(place: StagingDirectory, plan: Plan) -> Iterator[Outcome]:
@@ -81,6 +81,7 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
         rows.append(row)
     _print_rows(rows, title)
     _print_faults(rows)
+    _print_tools(rows)
     verified = judged = augmented = None
     if verdicts:
         verified = summarise(verdicts)
@@ -99,7 +100,7 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
 def _print_rows(rows: list[dict[str, Any]], title: str) -> None:
     """A row an episode, or of many episodes the worst and a row of means; no column that is empty throughout, nor of sentences."""
     names = dict.fromkeys(name for row in rows for name in row)
-    sentences = _BECAUSE, _PENETRATES
+    sentences = _BECAUSE, _PENETRATES, _TOOL
     shown = [name for name in names if name not in sentences and any(row.get(name) is not None for row in rows)]
     rows = [{name: row.get(name) for name in shown} for row in rows]
     if len(rows) > _ROWS:
@@ -108,6 +109,16 @@ def _print_rows(rows: list[dict[str, Any]], title: str) -> None:
         mean = {name: float(np.mean([row[name] for row in rows])) for name in numbers}
         rows = [*sorted(rows, key=lambda row: row["quality"])[:_WORST], {"episode": "mean", **mean}]
     print_table(rows, title)
+
+
+def _print_tools(rows: list[dict[str, Any]]) -> None:
+    """A line on what was taken to be the source's tool, if anything was."""
+    found = {row["episode"]: row[_TOOL] for row in rows if row.get(_TOOL)}
+    if found:
+        print(
+            f"note: in {spans([*found], 'episode')} the source's hand has something with it all the time (up to {max(found.values()):.0f} points "
+            "a frame): it is taken for a tool, or for what is left of the robot, and is no obstacle."
+        )
 
 
 def _print_faults(rows: list[dict[str, Any]]) -> None:

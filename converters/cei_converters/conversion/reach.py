@@ -34,10 +34,10 @@ def _why(entry: dict[str, Any]) -> str:
     return str(entry.get("unreachable_because") or "its pads are too far away.")
 
 
-def spans(frames: Sequence[int]) -> str:
-    """Frames in words: `frame 3`, or `frames 0-12, 40`."""
+def spans(frames: Sequence[int], of: str = "frame") -> str:
+    """Frames, or what else is counted, in words: `frame 3`, or `frames 0-12, 40`."""
     ends = [i for i, (a, b) in enumerate(pairwise(frames)) if b != a + 1]
     runs = zip([0, *(i + 1 for i in ends)], [*ends, len(frames) - 1], strict=True)
     named = [f"{frames[a]}-{frames[b]}" if a < b else str(frames[a]) for a, b in runs]
     more = f" and {len(named) - _SPANS} more spans" if len(named) > _SPANS else ""
-    return f"frame{'s' if len(frames) > 1 else ''} {', '.join(named[:_SPANS])}{more}"
+    return f"{of}{'s' if len(frames) > 1 else ''} {', '.join(named[:_SPANS])}{more}"

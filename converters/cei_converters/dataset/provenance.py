@@ -113,7 +113,7 @@ def published(options: Any, prefix: str = "") -> dict[str, Any]:
 
 def command_line(prog: str, options: Any) -> str:
     """A command with those of its options (a dataclass) that shape a dataset and differ from their defaults, as others may see them."""
-    return shlex.join([prog, *(f"--{name}={_text(value)}" for name, value in _given(options))])
+    return shlex.join([*prog.split(), *(f"--{name}={_text(value)}" for name, value in _given(options))])
 
 
 def _given(options: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
