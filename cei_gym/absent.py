@@ -8,7 +8,7 @@ import gymnasium as gym
 from cei_gym import extras
 
 TASKS = ("OpenDrawer", "PickCube", "StackCube")
-"""Those of `cei_envs`."""
+"""The tasks of `cei_envs`."""
 
 _SPECIFICATIONS = Path(__file__).parent / "embodiment/specifications"
 

@@ -223,7 +223,7 @@ def segmented(demonstration: Demonstration, masks: Mapping[str, np.ndarray]) -> 
 
 
 def _objects(names: tuple[str, ...]) -> dict[str, dict[str, int]]:
-    """Of each object whose place is among the names, the columns of its entries."""
+    """Find the columns of each object whose place is among the names."""
     columns: dict[str, dict[str, int]] = {}
     for i, name in enumerate(names):
         of, _, entry = name.rpartition(".")

@@ -38,7 +38,7 @@ EXTRAS = {
     "view": Extra("rerun", ("rerun",)),
     "torch": Extra("torch", ("torch", "pytorch_kinematics")),
 }
-"""By name. What each of them brings besides is in pyproject.toml."""
+"""The extras by name. What each of them brings besides is in pyproject.toml."""
 
 
 class MissingExtra(CEIError, ModuleNotFoundError):

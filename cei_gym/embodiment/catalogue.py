@@ -11,10 +11,10 @@ from cei_gym.embodiment.spec import ArmSpec, EndEffectorSpec, load_spec
 from cei_gym.errors import CEIError, unknown
 
 ARMS = ("UR5e", "IIWA", "Kinova3", "Panda")
-"""Those that ship."""
+"""The arms that ship."""
 
 END_EFFECTORS = ("FourierRight", "Inspire", "FourierLeft", "RobotiqThreeFinger", "PandaGripper")
-"""Those that ship."""
+"""The end-effectors that ship."""
 
 FOLDERS = "CEI_GYM_EMBODIMENTS"
 """Environment variable with folders of your own embodiments, separated as in PATH; each has `arms` and `end_effectors`."""
@@ -26,12 +26,12 @@ _SHIPPED = Path(__file__).parent / "specifications"
 
 
 def arm_names() -> list[str]:
-    """Those that ship, then your own."""
+    """List the arms that ship, then your own."""
     return [*ARMS, *_own("arms")]
 
 
 def end_effector_names() -> list[str]:
-    """Those that ship, then your own."""
+    """List the end-effectors that ship, then your own."""
     return [*END_EFFECTORS, *_own("end_effectors")]
 
 

@@ -107,7 +107,7 @@ def cloud_agreement(
 
 
 def _moving(clouds: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Of each cloud the points that most of the others lack."""
+    """Find the points of each cloud that most of the others lack."""
     trees = [KDTree(cloud) if len(cloud) > 1 else None for cloud in clouds]
     moving = []
     for i, cloud in enumerate(clouds):
@@ -157,7 +157,7 @@ class _Found:
         return _Found([points[::step] for points in self.points], self.robots)
 
     def share(self, T: np.ndarray) -> float:
-        """Of the points, how many are on the robot moved by T (4, 4)."""
+        """Count the points that are on the robot moved by T (4, 4)."""
         distance_m, _, _ = self._pairs(T)
         return float((distance_m < ON_SURFACE_M).mean())
 

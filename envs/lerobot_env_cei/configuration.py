@@ -97,7 +97,7 @@ class CEIEnvConfig(EnvConfig):
 
     @property
     def gym_id(self) -> str:
-        """Of the environment."""
+        """The name of the environment, for Gymnasium."""
         return environment_id(*str(self.task).split("-", 1))
 
     @property

@@ -170,7 +170,7 @@ class DP3Model(DiffusionModel):
 
     @property
     def _channels(self) -> int:
-        """Of a point, those that are looked at."""
+        """How many numbers of a point are looked at."""
         return 6 if self.config.use_colours else 3
 
     def _prepare_global_conditioning(self, batch: dict[str, Tensor]) -> Tensor:

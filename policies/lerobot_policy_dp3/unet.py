@@ -22,7 +22,7 @@ def make_unet(config: DP3Config, condition_features: int) -> DiffusionConditiona
 
 
 class Nothing(nn.Module):
-    """In the place of a block."""
+    """Stands in the place of a block."""
 
     def forward(self, x: Tensor, condition: Tensor) -> Tensor:
         """x as it is."""

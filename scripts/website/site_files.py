@@ -16,7 +16,7 @@ _PAGE = "README.md"
 
 
 def collect(config: MkDocsConfig) -> list[File]:
-    """Of a site that is made from this checkout."""
+    """Collect the files of a site that is made from this checkout."""
     found = [*documents(ROOT), *(path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if _shown(path))]
     paths = sorted({path.relative_to(ROOT).as_posix() for path in found} | {"LICENSE"})
     files = [File.generated(config, path, abs_src_path=str(ROOT / path)) for path in paths]

@@ -176,7 +176,7 @@ def grasp_energy(target, grasp, links, wanted, anchor, u, pose, points, quadrati
 
 @njit(cache=True, nogil=True)
 def _palm_energy(grasp, wanted, pose, quadratic, derivatives):
-    """Of the palm's distance from where it should be, m."""
+    """The energy of the palm's distance from where it should be, m."""
     k = grasp.palm
     R, t = pose.rot[k], pose.pos[k]
     # how it is turned: half the sum of cross products of its axes, the sine of the angle about its axis

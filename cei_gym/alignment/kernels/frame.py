@@ -15,7 +15,7 @@ from cei_gym.alignment.kernels.target import Pose, Source, empty_pose, empty_sou
 from cei_gym.compiled import njit
 
 DAMPING_TRIES = 8
-"""Of a step, each stiffer than the last, before the frame counts as solved."""
+"""How often a step is tried, each time stiffer, before the frame counts as solved."""
 
 
 class Settings(NamedTuple):

@@ -7,9 +7,9 @@ import numpy as np
 from cei_gym.compiled import njit
 
 DAMPING = 1e-3
-"""Of a frame's first step."""
+"""The damping of a frame's first step."""
 LARGEST_STEP = 0.5
-"""Of a joint in one iteration, rad or m."""
+"""How far a joint moves in one iteration at most, rad or m."""
 LEAST_DAMPING = 1e-9
 """However well it goes."""
 EASED, STIFFENED = 0.33, 4.0

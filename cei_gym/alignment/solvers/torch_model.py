@@ -242,7 +242,7 @@ def _gather(pairs: Tensor, which: Tensor) -> Tensor:
 
 
 def _pick(x: Tensor, which: Tensor) -> Tensor:
-    """Of (B, I, P, 3), (B, I, 3) by the index (B, I)."""
+    """Pick from (B, I, P, 3) one point each, (B, I, 3), by its index (B, I)."""
     return x.gather(2, which[..., None, None].expand(-1, -1, 1, 3))[:, :, 0]
 
 

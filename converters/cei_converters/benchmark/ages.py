@@ -13,7 +13,7 @@ from cei_gym.errors import CEIError
 LIBRARIES = ("mujoco", "robosuite", "numpy", "numba")
 """Libraries whose versions every figure depends on."""
 LEARNING = ("torch", "lerobot")
-"""Those that figures of policies depend on, too."""
+"""Libraries that figures of policies depend on, too."""
 
 
 @dataclass(frozen=True)

@@ -34,17 +34,17 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Of its file and folder."""
+        """The name of its file and folder."""
         return f"{self.task}-{self.target}" + (f"-{self.variant}" if self.variant != "cei" else "")
 
     @property
     def arm(self) -> str:
-        """Of the target."""
+        """The target's arm."""
         return self.target.split("-")[0]
 
     @property
     def end_effector(self) -> str:
-        """Of the target."""
+        """The target's end-effector."""
         return self.target.split("-")[1]
 
 

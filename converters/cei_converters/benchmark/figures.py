@@ -181,19 +181,19 @@ _Dumper.add_representer(
 
 
 def _digests(lines: str) -> Digests:
-    """From the manifest's lines: a digest, and the path of its file. As values of YAML, some digests would be numbers."""
+    """Read the manifest's lines: a digest, and the path of its file. As values of YAML, some digests would be numbers."""
     return {path: digest for digest, _, path in (line.partition(" ") for line in lines.splitlines())}
 
 
 def _figure(entry: dict[str, Any]) -> Figure:
-    """From the manifest's values."""
+    """Read a figure from the manifest's values."""
     listed = {key: tuple(entry[key]) for key in ("files", "seeds", "measures", "made_of") if entry.get(key)}
     values: dict[str, Any] = entry | listed
     return Figure(**values)
 
 
 def _entry(figure: Figure) -> dict[str, Any]:
-    """To the manifest's values, without those that are the default."""
+    """Give the manifest's values of a figure, without those that are the default."""
     found = {f.name: getattr(figure, f.name) for f in dataclasses.fields(figure)}
     found = {name: [*value] if isinstance(value, tuple) else value for name, value in found.items()}
     return {name: dict(value) if isinstance(value, Mapping) else value for name, value in found.items() if value}

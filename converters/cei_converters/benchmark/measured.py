@@ -51,7 +51,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "benchmarks/training.py": (*_POLICY, *_CONVERSION[-4:], "benchmarks/training.py"),
     "benchmarks/transfer.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/transfer.py"),
 }
-"""By what a command starts with, `python` left out."""
+"""What is measured, by what a command starts with, `python` left out."""
 
 
 def measured_by(command: str) -> tuple[str, ...]:

@@ -66,16 +66,16 @@ class Code:
 
     @cached_property
     def digests(self) -> Digests:
-        """Of all files."""
+        """The digests of all files."""
         return {path: self.digest(path) for path in self._files}
 
     @property
     def name(self) -> str:
-        """Digest of all digests."""
+        """The digest of all digests."""
         return f"code-{hashlib.sha256(json.dumps(self.digests).encode()).hexdigest()[:_DIGITS]}"
 
     def digest(self, path: str, renamed: Mapping[str, str] | None = None) -> str:
-        """Of one file.
+        """The digest of one file.
 
         Args:
             path: in the checkout.
@@ -229,4 +229,4 @@ def _renamed(imports: Imports, renamed: Mapping[str, str]) -> str:
 
 
 EMPTY = Code({"empty.py": b""}).digest("empty.py")
-"""Of a module that does nothing."""
+"""The digest of a module that does nothing."""

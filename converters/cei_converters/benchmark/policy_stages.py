@@ -85,7 +85,7 @@ class PolicyCell:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """The name of its files."""
         return f"{self.task}-{self.target}-{self.variant}" + ("" if self.variant in BLIND else f"-{self.seed}")
 
     @property

@@ -36,7 +36,7 @@ def percent(replay: Mapping[str, Any]) -> float:
 
 
 def mean(values: Iterable[float]) -> float | None:
-    """Of some numbers; None of none."""
+    """The mean of some numbers; None of none."""
     values = list(values)
     return sum(values) / len(values) if values else None
 

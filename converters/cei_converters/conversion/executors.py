@@ -19,7 +19,7 @@ START = "forkserver"
 
 @dataclass
 class SlurmOptions:
-    """Of `--executor=slurm`; workers are as many jobs at a time.
+    """Options of `--executor=slurm`; workers are as many jobs at a time.
 
     Attributes:
         partition: where to run.
@@ -58,7 +58,7 @@ def check_executor(name: str, slurm: SlurmOptions) -> None:
 
 
 def run_local(task: Callable, tasks: int, workers: int, logs: Path) -> None:
-    """In processes of this machine; returns when they are done."""
+    """Run in processes of this machine, and return when they are done."""
     from datatrove.executor import LocalPipelineExecutor
     from multiprocess import forkserver
 

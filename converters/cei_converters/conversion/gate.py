@@ -39,7 +39,7 @@ class Gate:
 
     @property
     def bounds(self) -> dict[str, float]:
-        """Those that are given, by the name of their option."""
+        """The bounds that are given, by the name of their option."""
         return {name: bound for name, bound in vars(self).items() if bound is not None}
 
     def decision(self, score: float) -> str:

@@ -28,13 +28,13 @@ def outcomes(place: StagingDirectory, plan: Plan) -> Iterator[Outcome]:
 
 
 def residuals(place: StagingDirectory, plan: Plan) -> Iterator[dict[str, Any]]:
-    """Of each episode that is kept, in order: `episode`, and how far pads are apart frame by frame."""
+    """Give for each episode that is kept, in order, `episode` and how far pads are apart frame by frame."""
     return (outcome.residuals for outcome in outcomes(place, plan) if not outcome.left_out)
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Of all episodes.
+    """What became of all episodes.
 
     Attributes:
         entries: one for each that is kept.
@@ -50,7 +50,7 @@ class Summary:
 
     @property
     def choices(self) -> dict[str, Any]:
-        """Those of the last three that were asked for, by the names they have in the result."""
+        """The last three, where they were asked for, by the names they have in the result."""
         found = {"verify": self.verified, "gate": self.judged, "augment": self.augmented}
         return {name: value for name, value in found.items() if value is not None}
 

@@ -50,7 +50,7 @@ class Plan:
 
     @property
     def shards(self) -> list[range]:
-        """Of each shard, its positions among the episodes to convert."""
+        """The positions of each shard's episodes among those to convert."""
         n, each = len(self.frames), self.config.shard_episodes
         return [range(start, min(start + each, n)) for start in range(0, n, each)]
 

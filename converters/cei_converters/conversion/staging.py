@@ -55,7 +55,7 @@ class StagingDirectory:
         self._kept = True
 
     def missing(self, shards: int) -> list[int]:
-        """Those of the first `shards` that are not there; damaged ones are removed."""
+        """Find those of the first `shards` that are not there, and remove damaged ones."""
         return [shard for shard in range(shards) if not self._finished(shard)]
 
     def check_complete(self, shards: int) -> None:
@@ -97,7 +97,7 @@ class StagingDirectory:
         return True
 
     def shard(self, shard: int) -> Path:
-        """Its folder."""
+        """The folder of a shard."""
         return self.shards / f"{shard:06d}"
 
     def __exit__(self, kind: type[BaseException] | None, error: object, trace: object) -> None:

@@ -88,7 +88,7 @@ def make_steps(names: Sequence[str], transfer: "Transfer") -> list[Step]:
 
 @dataclass(frozen=True)
 class Read:
-    """From an episode's place to what is recorded, augmented if that is asked for.
+    """Goes from an episode's place to what is recorded, augmented if that is asked for.
 
     Attributes:
         reader: what episodes are read from.
@@ -116,7 +116,7 @@ class Read:
 
 @dataclass(frozen=True)
 class Retarget:
-    """From what is recorded to the target's, verified by replay if that is asked for.
+    """Goes from what is recorded to the target's, verified by replay if that is asked for.
 
     Attributes:
         transfer: fitted.
@@ -176,7 +176,7 @@ class Judge:
 
 @dataclass(frozen=True)
 class Encode:
-    """From what is judged to what is stored of it.
+    """Goes from what is judged to what is stored of it.
 
     Attributes:
         reader: what episodes are read from.

@@ -18,7 +18,7 @@ TABLE_EPISODES = 500
 """So many of a dataset, spread over it, say where the table is, and those that are converted: an arm has been down long before."""
 
 FEW_EPISODES = 8
-"""Of a source whose joints take long to read."""
+"""How many episodes are read of a source whose joints take long to read."""
 
 
 def survey(source: Source, episodes: Iterable[int], done: Callable[[int], None] = lambda _: None) -> float | None:

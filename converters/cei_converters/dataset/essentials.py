@@ -40,7 +40,7 @@ def essentials(metadata: Metadata) -> dict[str, Any]:
 
 
 def difference(one: Metadata, other: Metadata) -> str:
-    """In which of them two datasets differ, in words; empty where they do not."""
+    """Say in words in which of them two datasets differ; empty where they do not."""
     ours, theirs = essentials(one), essentials(other)
     return " and ".join(name for name in ours if name != "format_version" and ours[name] != theirs[name])
 

@@ -15,7 +15,7 @@ KEYS = (schema.STATE, schema.ACTION)
 
 
 def digests(root: Path, meta: Description, keys: Sequence[str] = KEYS) -> list[str]:
-    """Of all episodes of a dataset.
+    """The identities of all episodes of a dataset.
 
     Args:
         root: its folder.

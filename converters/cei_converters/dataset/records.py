@@ -18,7 +18,7 @@ Record = dict[str, Any]
 
 
 class Records(Sequence[Record]):
-    """Those of a dataset, in the order of its episodes; none if it has no such file. All are checked at once.
+    """The records of a dataset, in the order of its episodes; none if it has no such file. All are checked at once.
 
     Args:
         root: folder of the dataset.
@@ -73,7 +73,7 @@ class Records(Sequence[Record]):
 
 
 def load_records(root: Path, total_episodes: int) -> Sequence[Record]:
-    """Those of a dataset, of format 1.0 too, which has them in `meta/cei.json`; none, and a line that says so, where they are not
+    """Read the records of a dataset, of format 1.0 too, which has them in `meta/cei.json`; none, and a line that says so, where they are not
     as many as its episodes.
 
     Raises:

@@ -19,7 +19,7 @@ _FRAME = "frame_index"
 
 
 def middle(starts: Sequence[Sequence[float]] | np.ndarray) -> list[float]:
-    """Of the starts (k, n) of one motion, what environments start at."""
+    """Choose what environments start at from the starts (k, n) of one motion."""
     return np.round(np.median(starts, axis=0), 4).tolist()
 
 

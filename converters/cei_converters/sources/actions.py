@@ -236,7 +236,7 @@ def _bind_command(
 def _places_of_the_state(
     columns: Sequence[str], state_columns: Sequence[str], used: Sequence[int], feature: str, where: str
 ) -> list[int]:
-    """Of each of the state's columns, which of the feature's it is: by name, or in turn where names have nothing in common; anything for
+    """Say for each of the state's columns which of the feature's it is: by name, or in turn where names have nothing in common; anything for
     those that are not used.
 
     Raises:

@@ -75,7 +75,7 @@ def _check_kind(
     fps: float,
     where: str,
 ) -> None:
-    """Of an arm: how far each explanation leaves its joints, in the mean, from where they are a frame later.
+    """Say for an arm how far each explanation leaves its joints, in the mean, from where they are a frame later.
 
     r and a are what is stored, relative and absolute.
     """

@@ -172,7 +172,7 @@ class DatasetReader(Source):
         return record
 
     def digest(self, index: int) -> str:
-        """Of an episode's joints; see `identity`.
+        """The digest of an episode's joints; see `identity`.
 
         Raises:
             CEIError: it cannot be read.

@@ -113,7 +113,7 @@ def _gripper(kwargs: Mapping[str, Any], embodiment: Embodiment) -> str:
 
 
 def _motors(embodiment: Embodiment) -> list[tuple[str, list[float]]]:
-    """Of each of the end-effector's independent joints its name and what its motor can be told, in the order of the motors."""
+    """Give for each of the end-effector's independent joints its name and what its motor can be told, in the order of the motors."""
     independent = independent_joints(embodiment)
     order: dict[str, list[float]] = {}
     for q, *told in embodiment.motors:
