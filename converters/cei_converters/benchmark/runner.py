@@ -52,7 +52,9 @@ def run_jobs(jobs: Sequence[Job], workers: int) -> Generator[Outcome]:
             running = {pool.submit(_guarded, job): job for job in jobs}
         try:
             while running:
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                done = wait(running, return_when=FIRST_COMPLETED).done
+                # In the order of jobs: the order of a set is anybody's guess.
+                for future in [each for each in running if each in done]:
                     job = running.pop(future)
                     result, error = future.result()
                     if error is None:
