@@ -20,7 +20,7 @@ from tqdm import tqdm
 from transfer import FRAMES, SOURCE, convert, record
 
 from cei_converters.dataset.columns import encode
-from cei_converters.dataset.episodes import encode_episode
+from cei_converters.dataset.encoded import encode_episode
 from cei_converters.dataset.writer import DatasetWriter, Header
 from cei_gym.demonstration import Demonstration
 

@@ -17,9 +17,9 @@ from cei_converters import convert, replay, view
 from cei_converters.conversion import shard
 from cei_converters.conversion.augment import Augmentation, AugmentOptions
 from cei_converters.dataset import schema
-from cei_converters.dataset.cameras import Pictures
-from cei_converters.dataset.episodes import encode_episode
-from cei_converters.dataset.writer import DatasetWriter
+from cei_converters.dataset.columns import encode
+from cei_converters.dataset.encoded import encode_episode
+from cei_converters.dataset.writer import DatasetWriter, Header
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import InitialisationOptions
 from cei_gym.augmentation import (
@@ -308,8 +308,8 @@ def test_pictures_are_left_out_and_those_of_objects_say_which_points_they_are(
     masks = np.random.default_rng(2).random((len(recorded), 8, 8)) < 0.3
     encoded = encode_episode({key: np.repeat(255 * masks[..., None], 3, axis=-1).astype(np.uint8)}, {key: feature}, "")
     with DatasetWriter("me/seen", tmp_path / "seen", cameras={key: feature}) as writer:
-        pictures = Pictures({key: encoded.table[key].combine_chunks()}, {}, encoded.statistics)
-        writer.add(recorded, pictures=pictures)
+        header = Header.of(recorded)
+        writer.append(header, encode_episode(encode(recorded), header.features, recorded.task).joined(encoded))
     root, segmentation = tmp_path / "out", "--augment.objects=segmentation"
     assert convert.main(killed.arguments(tmp_path / "seen", root, "--augment.grid=2,1", segmentation)) == 0
     assert f"left out, as they show objects where they were recorded: {key}." in capsys.readouterr().out

@@ -140,12 +140,12 @@ def test_where_a_step_has_cut_a_recording_its_worst_frame_is_still_the_sources()
     made = Retarget(transfer, None, 1, False, ())(Recorded(0, 0, cut))
     judged = Judge(Gate(), True)(made)
     reader = SimpleNamespace(record=lambda index: {})
-    worst = Encode(reader, TARGET, PRIVILEGED_STATE, 1, True, True)(judged).outcome.worst  # pyright: ignore
+    worst = Encode(reader, TARGET, PRIVILEGED_STATE, 1, True, None)(judged).outcome.worst  # pyright: ignore
     frames = made.demonstration.source_frames
     assert frames is not None and frames[3] == 0
     for frame in range(len(made.demonstration)):
         quality = replace(judged.quality, frame=frame)
-        found = Encode(reader, TARGET, PRIVILEGED_STATE, 1, True, True)(replace(judged, quality=quality))  # pyright: ignore
+        found = Encode(reader, TARGET, PRIVILEGED_STATE, 1, True, None)(replace(judged, quality=quality))  # pyright: ignore
         np.testing.assert_array_equal(found.outcome.worst.qpos_source, qpos[frames[frame]])
     np.testing.assert_array_equal(worst.qpos_source, qpos[frames[worst.frame]])
 

@@ -68,6 +68,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.writing import Writing
     from cei_converters.dataset.essentials import Remains
     from cei_converters.dataset.metadata import plain, restore_with
+    from cei_converters.dataset.picture_encoding import VIDEO_ENCODER
     from cei_converters.dataset.place import temporary_folder
 
     if config.resume and (root := _new_root(config)).exists():
@@ -80,7 +81,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         writing = stack.enter_context(Writing()) if writes else None
         begun = Plan.load(place.plan) if place.plan.exists() else None
         known = "" if begun is None else _check_unchanged(begun.provenance, config, to_begin_anew(place.folder))
-        converter = stack.enter_context(Converter(config))
+        converter = stack.enter_context(Converter(config, None if config.dry_run else place.scratch))
         reader = converter.reader
         check_fit(config, reader)
         # it takes a second a gigabyte, beside the choice of the start
@@ -100,7 +101,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             print(f"note: {extras.lacking('more than one process', absent)}")
         if local and processes_for(workers, -(-len(converter.selected) // config.shard_episodes)) > 1:
             extras.require(f"--workers={workers}", "cluster")
-            warm_up("cei_converters.conversion.preloaded")
+            videos = any(feature["dtype"] == "video" for feature in converter.cameras.values())
+            warm_up("cei_converters.conversion.preloaded", *[VIDEO_ENCODER] * videos)
         frames = [reader.frames(index) for index in converter.selected]
         progress = stack.enter_context(progress_bar("frames"))
         task = progress.add_task("reading joints", total=sum(frames))
@@ -115,7 +117,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             return _submitted(config, place, missing)
         progress.update(task, description="converting")
         if writing is not None:
-            passed = {"cameras": converter.cameras, "carried": reader.carried, "carries": reader.carries}
+            passed = {"cameras": converter.cameras, "carried": reader.carried}
             writing.begin(place.root, **plain({"environment": converter.environment, "tasks": reader.tasks, **passed}))
         convert_shards(place, plan, converter, workers, lambda done: progress.update(task, completed=done))
         progress.stop()

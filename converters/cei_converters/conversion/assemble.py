@@ -30,7 +30,7 @@ def assemble(place: StagingDirectory, plan: Plan, converter: Converter, summary:
         writing: of its files, which has begun.
 
     Raises:
-        CEIError: pictures that pass through are missing.
+        CEIError: a video that pictures pass through from is not there any more.
         OSError: a shard is damaged, or the files could not be written.
     """
     from cei_converters.conversion.quality_picture import write_summary  # and matplotlib

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from cei_converters.cli.options import parse_episodes, parse_pose
@@ -33,6 +34,10 @@ FIT_EPISODES = 8
 class Converter:
     """Converts the episodes of a dataset; a context manager that closes what it opened.
 
+    Args:
+        config: the conversion's options.
+        scratch: folder for files that are removed again; None if nothing is to be stored.
+
     Attributes:
         reader: of the dataset.
         selected: episodes to convert; each as often as augmentation asks for.
@@ -44,7 +49,7 @@ class Converter:
         CEIError: bad options or data.
     """
 
-    def __init__(self, config: ConvertConfig) -> None:
+    def __init__(self, config: ConvertConfig, scratch: Path | None = None) -> None:
         self._config = config
         use_package_path(config.package_path)
         target = in_background(lambda: load_embodiment(config.target))  # MuJoCo compiles for a second, without the GIL
@@ -79,8 +84,16 @@ class Converter:
         added = make_steps(config.steps or (), self.transfer)
         on_recorded = [step for step in added if isinstance(step, OnRecorded)]
         on_retargeted = [step for step in added if isinstance(step, OnRetargeted)]
-        self._read = Read(self.reader, self.selected, augmentation, on_recorded)
-        self._retarget = Retarget(self.transfer, verifier, config.init.modes, not config.dry_run, on_retargeted)
+        stored = scratch is not None
+        self._read = Read(
+            self.reader,
+            self.selected,
+            augmentation,
+            pictures=stored and bool(self.cameras),
+            carried=stored and self.reader.carries,
+            then=on_recorded,
+        )
+        self._retarget = Retarget(self.transfer, verifier, config.init.modes, stored, on_retargeted)
         self._judge = Judge(config.gate, config.allow_unreachable)
         self._encode = Encode(
             self.reader,
@@ -88,7 +101,7 @@ class Converter:
             schema.state_key(config.privileged_state),
             config.init.modes,
             config.allow_unreachable,
-            config.dry_run,
+            scratch,
         )
 
     def __enter__(self) -> Self:
@@ -104,7 +117,7 @@ class Converter:
             CEIError: an episode cannot be read, or clouds do not show the source where its joints say.
         """
         with one_thread():
-            read = [self._read(i, colours=False) for i in spread(len(self.selected), FIT_EPISODES)]
+            read = [self._read(i, quickly=True) for i in spread(len(self.selected), FIT_EPISODES)]
             shown = [each.demonstration for each in read]
             if self._config.check_clouds and (told := check_clouds(self.transfer.source, shown)):
                 print(told)
@@ -115,7 +128,7 @@ class Converter:
         if finalists:
             self.transfer.start_from(finalists)
         else:  # the manual baseline looks at one episode, and quickly
-            self.transfer.fit([self._read(0, colours=False).demonstration])
+            self.transfer.fit([self._read(0, quickly=True).demonstration])
 
     def convert(self, positions: Sequence[int], threads: int) -> Iterator[Converted]:
         """Converted episodes, in order.

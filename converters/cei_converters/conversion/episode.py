@@ -1,10 +1,12 @@
 """An episode on its way through a conversion: recorded, retargeted, judged, converted; each stage is whole, or is not made."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
 from cei_converters.conversion.verify import Verdict
-from cei_converters.dataset.episodes import EncodedEpisode
+from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.carried import Carried
+from cei_converters.dataset.encoded import EncodedEpisode
 from cei_converters.dataset.writer import Header
 from cei_gym.alignment import AlignmentReport
 from cei_gym.alignment.judge.quality import Quality
@@ -22,6 +24,8 @@ class Recorded:
         demonstration: of the source, its objects moved if they are to be.
         offset: of its objects; None where they are where they were.
         inside: whether objects are in the workspace.
+        pictures: what cameras saw in all frames of the source's episode, of those whose pictures pass through.
+        carried: what else there is of these frames.
     """
 
     position: int
@@ -29,6 +33,8 @@ class Recorded:
     demonstration: Demonstration
     offset: Offset | None = None
     inside: bool = True
+    pictures: Pictures = field(default_factory=Pictures)
+    carried: Carried = field(default_factory=Carried)
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,11 @@ class Retargeted:
         demonstration: of the target.
         report: how well it follows.
         verdict: what replaying showed, if it was replayed.
+        pictures: what cameras saw, frame by frame of the target's demonstration, or what a step has painted.
+        carried: what else there is of these frames.
+
+    Raises:
+        CEIError: pictures or columns are not of as many frames as the demonstration.
     """
 
     recorded: Recorded
@@ -48,6 +59,13 @@ class Retargeted:
     demonstration: Demonstration
     report: AlignmentReport
     verdict: Verdict | None = None
+    pictures: Pictures = field(default_factory=Pictures)
+    carried: Carried = field(default_factory=Carried)
+
+    def __post_init__(self) -> None:
+        frames = len(self.demonstration)
+        self.pictures.check_frames(frames, repeated=self.demonstration.source_frames is not None)
+        self.carried.check_frames(frames)
 
 
 @dataclass(frozen=True)

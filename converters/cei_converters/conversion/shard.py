@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import draccus
+import numpy as np
 import pyarrow as pa
 
 from cei_converters.conversion.episode import Converted, Outcome
-from cei_converters.dataset.episodes import EncodedEpisode
+from cei_converters.dataset.cameras import Clip
+from cei_converters.dataset.encoded import EncodedEpisode
 from cei_converters.dataset.metadata import plain
 from cei_converters.dataset.writer import Header
 
@@ -48,10 +50,24 @@ class ShardWriter:
                 self._file = pa.ipc.new_file(self._partial / _FRAMES, encoded.table.schema)
             (batch,) = encoded.table.combine_chunks().to_batches()
             self._file.write_batch(batch)
-            stored |= {"rows": batch.num_rows, "task": encoded.task}
+            stored |= {"rows": batch.num_rows, **self._beside(encoded, len(self._episodes))}
         self._episodes.append(stored)
         self._frames += converted.outcome.entry["frames"]
         (self._partial / _PROGRESS).write_text(str(self._frames))
+
+    def _beside(self, encoded: EncodedEpisode, number: int) -> dict[str, Any]:
+        """What is not in rows, in JSON types; videos go to files."""
+        names = {key: f"video-{number:06d}-{i}.mp4" for i, key in enumerate(encoded.videos)}
+        for key, video in encoded.videos.items():
+            (self._partial / names[key]).write_bytes(video)
+        clips = {
+            key: [str(clip.path.absolute()), clip.start_s, clip.end_s, clip.fps] for key, clip in encoded.clips.items()
+        }
+        tasks = None if encoded.tasks is None else [*encoded.tasks]
+        statistics = {
+            key: {name: value.tolist() for name, value in found.items()} for key, found in encoded.statistics.items()
+        }
+        return {"task": encoded.task, "tasks": tasks, "statistics": statistics, "clips": clips, "videos": names}
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         try:
@@ -84,7 +100,7 @@ class Shard:
         self._folder = folder
         try:
             found = json.loads((folder / _EPISODES).read_text())
-            self._sha256: str | None = found["sha256"]
+            self._sha256: str = found["sha256"]
             self._episodes: list[dict[str, Any]] = found["episodes"]
             self.outcomes = [Outcome.decode(stored["outcome"]) for stored in self._episodes]
             """One an episode, those that are left out included."""
@@ -111,7 +127,14 @@ class Shard:
         for stored, outcome in zip(self._episodes, self.outcomes, strict=True):
             encoded = None
             if stored["rows"] is not None:
-                encoded = EncodedEpisode(pa.Table.from_batches([next(batches)]), task=stored["task"])
+                encoded = EncodedEpisode(
+                    pa.Table.from_batches([next(batches)]),
+                    {key: {n: np.array(v) for n, v in found.items()} for key, found in stored["statistics"].items()},
+                    stored["task"],
+                    stored["tasks"],
+                    {key: Clip(Path(path), *where) for key, (path, *where) in stored["clips"].items()},
+                    {key: (self._folder / name).read_bytes() for key, name in stored["videos"].items()},
+                )
             yield Converted(outcome, self.header, encoded)
 
 
@@ -129,8 +152,10 @@ def unfinished(folder: Path) -> list[int]:
     return [int(path.name.rpartition("-")[2]) for path in folder.glob(".*-*")]
 
 
-def _sha256(folder: Path) -> str | None:
-    if not (folder / _FRAMES).exists():
-        return None
-    with (folder / _FRAMES).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def _sha256(folder: Path) -> str:
+    """Of all that is in a shard beside what says so."""
+    found = hashlib.sha256()
+    for path in sorted([*folder.glob(_FRAMES), *folder.glob("video-*")]):
+        with path.open("rb") as file:
+            found.update(hashlib.file_digest(file, "sha256").digest())
+    return found.hexdigest()

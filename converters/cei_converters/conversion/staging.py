@@ -33,6 +33,7 @@ class StagingDirectory:
         self.shards = self.folder / "shards"
         self.logs = self.folder / "logs"
         self.dataset = self.folder / "dataset"
+        self.scratch = self.folder / "scratch"
         self._left, self._token = False, object()
 
     def __enter__(self) -> Self:
@@ -46,6 +47,7 @@ class StagingDirectory:
             *self.shards.glob(".*"),
             *self.folder.glob("error-*"),
             *self.folder.glob(f"{self.dataset.name}-*"),
+            *self.folder.glob(self.scratch.name),
         ):  # of workers that were killed, or failed
             remove(path)
         return self

@@ -1,12 +1,14 @@
 """The steps of a conversion, from an episode's place to what is stored of it: read, augment, retarget (and verify), judge, encode.
 
 Packages add steps by the entry point group `cei_gym.steps`, and `--steps` has them run, in the workers: those that change what is
-recorded (`OnRecorded`) after augmentation, those that change what is retargeted (`OnRetargeted`; new pictures, say) before it is judged.
+recorded (`OnRecorded`) after augmentation, those that change what is retargeted (`OnRetargeted`) before it is judged: its demonstration, its
+pictures.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,9 +17,12 @@ from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.episode import Converted, Judged, Outcome, Recorded, Retargeted, Worst
 from cei_converters.conversion.gate import DROPPED, FLAGGED, LOW_QUALITY, Gate
 from cei_converters.conversion.reach import check_reached
+from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.carried import Carried
 from cei_converters.dataset.columns import encode
-from cei_converters.dataset.episodes import encode_episode
+from cei_converters.dataset.encoded import EncodedEpisode, encode_episode
 from cei_converters.dataset.metadata import plain
+from cei_converters.dataset.picture_encoding import encode_pictures
 from cei_converters.dataset.writer import Header
 from cei_gym import plugins
 from cei_gym.alignment.judge.quality import assess
@@ -30,7 +35,7 @@ if TYPE_CHECKING:
 
 GROUP = "cei_gym.steps"
 """Entry points of steps that packages offer."""
-_OF_THE_SOURCE = ("verified", "source_frames", "flagged", "offset")
+_OF_THE_SOURCE = ("verified", "source_frames", "flagged", "offset", "painted")
 
 
 class Step:
@@ -61,7 +66,8 @@ class OnRetargeted(Step, ABC):
 
     @abstractmethod
     def __call__(self, episode: Retargeted) -> Retargeted:
-        """The episode with a change: of its demonstration, as a rule. Report and verdict stay those of what was retargeted.
+        """The episode with a change: of its demonstration, or of pictures (`Pictures.paint`). Report and verdict stay those of what was
+        retargeted.
 
         Raises:
             CEIError: it cannot be had; the conversion ends.
@@ -94,17 +100,28 @@ class Read:
         reader: what episodes are read from.
         selected: which of its episodes is at each place.
         augmentation: which variants are made of each, if any.
+        pictures: whether those of cameras pass through.
+        carried: whether columns, or tasks of frames, are carried over.
         then: steps that packages add, in their order.
     """
 
     reader: "Source"
     selected: Sequence[int]
     augmentation: Augmentation | None
+    pictures: bool
+    carried: bool
     then: Sequence[OnRecorded]
 
-    def __call__(self, position: int, colours: bool = True) -> Recorded:
+    def __call__(self, position: int, quickly: bool = False) -> Recorded:
+        """The episode at a place; `quickly` without what only its dataset needs: colours, pictures and what is carried over."""
         index = self.selected[position]
-        read = Recorded(position, index, self.reader.read(index, colours=colours))
+        read = Recorded(
+            position,
+            index,
+            self.reader.read(index, colours=not quickly),
+            pictures=self.reader.pictures(index) if self.pictures and not quickly else Pictures(),
+            carried=self.reader.carry(index) if self.carried and not quickly else Carried(),
+        )
         if self.augmentation is not None:
             variant = position % len(self.augmentation)
             moved, offset, inside = self.augmentation(read.demonstration, variant)
@@ -139,7 +156,9 @@ class Retarget:
             verdict = None
         else:
             moved, report, verdict = self.verifier(recorded.demonstration, mode)
-        made = Retargeted(recorded, mode, moved, report, verdict)
+        frames = moved.source_frames
+        pictures, carried = recorded.pictures.at(frames), recorded.carried.at(frames)
+        made = Retargeted(recorded, mode, moved, report, verdict, pictures, carried)
         for step in self.then:
             made = step(made)
         return made
@@ -184,7 +203,7 @@ class Encode:
         state_key: LeRobot's feature that the state of objects becomes.
         modes: distinct motions, which episodes take in turn.
         allow_unreachable: whether frames out of reach are kept.
-        dry_run: whether nothing is stored.
+        scratch: folder for files that are removed again; None if nothing is stored.
     """
 
     reader: "Source"
@@ -192,17 +211,23 @@ class Encode:
     state_key: str
     modes: int
     allow_unreachable: bool
-    dry_run: bool
+    scratch: Path | None
 
     def __call__(self, judged: Judged) -> Converted:
         outcome = self._outcome(judged)
-        moved = judged.retargeted.demonstration
-        header = Header.of(moved, self.state_key)
-        kept = not self.dry_run and not judged.left_out
-        if kept and not self.allow_unreachable:
-            check_reached(self.target, [outcome.entry])
-        encoded = encode_episode(encode(moved, self.state_key), header.features, moved.task) if kept else None
+        header = Header.of(judged.retargeted.demonstration, self.state_key)
+        encoded = None
+        if self.scratch is not None and not judged.left_out:
+            if not self.allow_unreachable:
+                check_reached(self.target, [outcome.entry])
+            encoded = self._encoded(judged.retargeted, header, self.scratch)
         return Converted(outcome, header, encoded)
+
+    def _encoded(self, made: Retargeted, header: Header, scratch: Path) -> EncodedEpisode:
+        moved = made.demonstration
+        own = encode_episode(encode(moved, self.state_key), header.features, moved.task)
+        pictures = encode_pictures(made.pictures, moved.fps, scratch)
+        return own.joined(made.carried.encode(self.reader.carried)).joined(pictures)
 
     def _outcome(self, judged: Judged) -> Outcome:
         made, quality = judged.retargeted, judged.quality
@@ -230,6 +255,7 @@ class Encode:
             **({"flagged": True} if judged.flagged else {}),
             **({} if verdict is None else {"verified": verdict.record()}),
             **({} if moved.source_frames is None else {"source_frames": moved.source_frames.tolist()}),
+            **({"painted": sorted(made.pictures.painted)} if made.pictures.painted else {}),
             **figures,
             "alignment": summary,
         }

@@ -90,7 +90,7 @@ class ShardTask:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's business
         quiet_libraries()
         place = StagingDirectory(Path(self.root), resume=True)
-        converter, plan = _opened(place.plan)
+        converter, plan = _opened(place.root)
         try:
             convert_shard(converter, plan, place, self.shards[rank], self.threads)
         except CEIError as error:
@@ -99,10 +99,11 @@ class ShardTask:
 
 
 @lru_cache(maxsize=1)
-def _opened(path: Path) -> tuple[Converter, Plan]:
+def _opened(root: Path) -> tuple[Converter, Plan]:
     """A process's own converter, for all its shards."""
-    plan = Plan.load(path)
-    converter = Converter(plan.config)
+    place = StagingDirectory(root, resume=True)
+    plan = Plan.load(place.plan)
+    converter = Converter(plan.config, None if plan.config.dry_run else place.scratch)
     converter.start_from(plan.finalists)
     return converter, plan
 

@@ -19,10 +19,8 @@ from cei_converters import signals
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
-    from cei_converters.conversion.config import ConvertConfig
     from cei_converters.conversion.episode import Converted
     from cei_converters.conversion.staging import StagingDirectory
-    from cei_converters.sources.source import Source
 
 _LOOK_S = 0.02
 _LEROBOT = "lerobot.datasets"
@@ -82,7 +80,7 @@ class Writing:
         """The folder that the episodes are in, once they are.
 
         Raises:
-            CEIError: pictures that pass through, or columns that are carried over, cannot be read.
+            CEIError: a video that pictures pass through from is not there any more.
             OSError: a shard is damaged, the disk is full, or the process was killed.
         """
         assert self._job is not None
@@ -106,7 +104,6 @@ def write(
     environment: dict[str, Any],
     cameras: dict[str, dict],
     carried: dict[str, dict],
-    carries: bool,
     tasks: list[str],
     go_on: Callable[[float], None] = lambda _: None,
 ) -> Path:
@@ -117,7 +114,6 @@ def write(
         environment: what episodes replay in.
         cameras: LeRobot's features of cameras whose pictures pass through.
         carried: LeRobot's features of what is carried over.
-        carries: whether anything is, be it tasks.
         tasks: those that have numbers already.
         go_on: called now and then, with how many seconds there is nothing to do; it ends the process if it is not to go on.
 
@@ -125,23 +121,19 @@ def write(
         The folder that the episodes are in.
 
     Raises:
-        CEIError: pictures that pass through, or columns that are carried over, cannot be read.
+        CEIError: a video that pictures pass through from is not there any more.
         OSError: a shard is damaged, or the disk is full.
     """
     import draccus
-    import numpy as np
 
     from cei_converters.conversion.plan import Plan
     from cei_converters.conversion.staging import StagingDirectory
-    from cei_converters.dataset.cameras import Pictures
-    from cei_converters.dataset.carried import Carried
     from cei_converters.dataset.metadata import Environment, plain
     from cei_converters.dataset.writer import DatasetWriter
 
     place = StagingDirectory(root, resume=True)
     plan = Plan.load(place.plan)
     config = plan.config
-    reader = _reader(config) if cameras or carries else None
     cameras, carried = (
         {key: feature | {"shape": tuple(feature["shape"])} for key, feature in features.items()}
         for features in (cameras, carried)
@@ -159,25 +151,8 @@ def write(
     ) as writer:
         for converted in _converted(place, len(plan.shards), go_on):
             if converted.encoded is not None:
-                index, frames = converted.outcome.entry["episode"], converted.outcome.record.get("source_frames")
-                frames = None if frames is None else np.array(frames)
-                pictures = reader.pictures(index) if reader and cameras else Pictures()
-                columns = reader.carry(index) if reader else Carried()
-                writer.append(
-                    converted.header,
-                    converted.encoded,
-                    converted.outcome.record,
-                    pictures.at(frames),
-                    columns.at(frames),
-                )
+                writer.append(converted.header, converted.encoded, converted.outcome.record)
     return writer.partial
-
-
-def _reader(config: "ConvertConfig") -> "Source":
-    """Of what does not go through the conversion; robots take seconds to load, so only where there is any."""
-    from cei_converters.conversion.converter import open_reader
-
-    return open_reader(config)
 
 
 def _converted(place: "StagingDirectory", shards: int, go_on: Callable[[float], None]) -> Iterator["Converted"]:

@@ -1,4 +1,4 @@
-"""RGB cameras of a dataset that is converted: their pictures pass through untouched, as they show the source robot."""
+"""RGB cameras of a dataset that is converted. Their pictures pass through as they are and show the source robot, unless a step paints others."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 
 from cei_converters.dataset.columns import read_columns
-from cei_converters.dataset.decoding import check_video, encoded_images
+from cei_converters.dataset.decoding import check_video, decode_frames, decode_pictures, encoded_images
 from cei_converters.dataset.description import EPISODES_PATH, Description
 from cei_converters.dataset.rows import read_rows
-from cei_gym.errors import CEIError, one_line
+from cei_gym.errors import CEIError, one_line, unknown
 
 
 @dataclass(frozen=True)
@@ -23,28 +23,47 @@ class Clip:
     Attributes:
         path: the file.
         start_s, end_s: where in it.
+        fps: frames a second.
         frames: (T,) which of the episode's frames are wanted; None for all, each once.
     """
 
     path: Path
     start_s: float
     end_s: float
+    fps: float
     frames: np.ndarray | None = None
+
+    def at(self, frames: np.ndarray) -> "Clip":
+        """The clip with its frames at these indices, in this order."""
+        return replace(self, frames=frames if self.frames is None else self.frames[frames])
+
+    def decode(self) -> np.ndarray:
+        """Its pictures, (T, H, W, 3) uint8.
+
+        Raises:
+            CEIError: the file cannot be decoded.
+        """
+        frames = np.arange(round((self.end_s - self.start_s) * self.fps)) if self.frames is None else self.frames
+        return decode_frames(self.path, self.start_s + frames / self.fps, self.fps).transpose(0, 2, 3, 1)
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """What RGB cameras saw of one episode, as it is stored.
+    """What RGB cameras saw of one episode, as it is stored, and what steps have painted instead.
 
     Attributes:
         images: feature key to (T,) cells of encoded images (`bytes`, `path`).
         clips: feature key to the episode's part of a video.
         statistics: feature key to LeRobot's statistics of the episode, which repeating frames is not held to change.
+        features: feature key to LeRobot's description, of all cameras.
+        painted: feature key to (T, H, W, 3) uint8 pictures, which are not encoded yet.
     """
 
     images: Mapping[str, pa.Array] = field(default_factory=dict)
     clips: Mapping[str, Clip] = field(default_factory=dict)
     statistics: Mapping[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    features: Mapping[str, dict] = field(default_factory=dict)
+    painted: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def at(self, frames: np.ndarray | None) -> "Pictures":
         """The pictures with their frames at these indices, in this order; None changes nothing."""
@@ -53,8 +72,62 @@ class Pictures:
         return replace(
             self,
             images={key: cells.take(pa.array(frames)) for key, cells in self.images.items()},
-            clips={key: replace(clip, frames=frames) for key, clip in self.clips.items()},
+            clips={key: clip.at(frames) for key, clip in self.clips.items()},
+            painted={key: pictures[frames] for key, pictures in self.painted.items()},
         )
+
+    def decode(self, key: str) -> np.ndarray:
+        """A camera's pictures, (T, H, W, 3) uint8.
+
+        Raises:
+            CEIError: there is no such camera, or its pictures cannot be decoded.
+        """
+        if key in self.painted:
+            return self.painted[key]
+        if key in self.clips:
+            return self.clips[key].decode()
+        if key not in self.images:
+            raise unknown("camera", key, self.features)
+        return decode_pictures(self.images[key], self.features[key], key)
+
+    def paint(self, key: str, pictures: np.ndarray) -> "Pictures":
+        """The same with other pictures of a camera.
+
+        Args:
+            key: the camera's feature.
+            pictures: (T, H, W, 3) uint8, as many and as large as those that there are.
+
+        Raises:
+            CEIError: there is no such camera, or pictures are of another size or type.
+        """
+        if key not in self.features:
+            raise unknown("camera", key, self.features)
+        size = tuple(self.features[key]["shape"])
+        if pictures.dtype != np.uint8 or pictures.shape[1:] != size:
+            raise CEIError(
+                f"{key} is painted as {pictures.dtype} of shape {pictures.shape}; it should be uint8 of shape (T, {', '.join(map(str, size))})."
+            )
+        left = {name: {k: v for k, v in getattr(self, name).items() if k != key} for name in ("images", "clips")}
+        statistics = {k: v for k, v in self.statistics.items() if k != key}
+        return replace(self, **left, statistics=statistics, painted={**self.painted, key: pictures})
+
+    def check_frames(self, frames: int, repeated: bool) -> None:
+        """Check that all are of as many frames.
+
+        Args:
+            frames: how many there should be.
+            repeated: whether they are others than the source's.
+
+        Raises:
+            CEIError: a camera has more or fewer.
+        """
+        lengths = {key: len(pictures) for key, pictures in (*self.images.items(), *self.painted.items())}
+        lengths |= {key: len(clip.frames) for key, clip in self.clips.items() if clip.frames is not None}
+        whole = [key for key, clip in self.clips.items() if clip.frames is None and repeated]
+        for key in sorted({key for key, length in lengths.items() if length != frames} | {*whole}):
+            raise CEIError(
+                f"{key} has {lengths.get(key, "the source's")} frames, where the demonstration has {frames}; what cuts one should cut the other, by `at`."
+            )
 
 
 def read_pictures(root: Path, meta: Description, index: int, keys: Sequence[str]) -> Pictures:
@@ -79,7 +152,8 @@ def read_pictures(root: Path, meta: Description, index: int, keys: Sequence[str]
             raise CEIError(f"episode {index}, {key}: a picture is missing; download or record the dataset again.")
         cells[key] = _without_folders(cells[key])
     clips = {key: find_clip(root, meta, index, key) for key in keys if key in meta.video_keys}
-    return Pictures(cells, clips, _statistics(root, meta, index, keys))
+    features = {key: meta.features[key] for key in (*cells, *clips)}
+    return Pictures(cells, clips, _statistics(root, meta, index, keys), features)
 
 
 def _without_folders(cells: Any) -> pa.Array:
@@ -115,7 +189,7 @@ def find_clip(root: Path, meta: Description, index: int, key: str) -> Clip:
         raise CEIError(
             f"episode {index}: {key} should be from {start_s:g} to {end_s:g} s of {root / path}, which is {length_s:g} s long."
         )
-    return Clip(root / path, start_s, end_s)
+    return Clip(root / path, start_s, end_s, meta.fps)
 
 
 def _statistics(root: Path, meta: Description, index: int, keys: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:

@@ -11,7 +11,7 @@ import pyarrow as pa
 from cei_converters.dataset import schema
 from cei_converters.dataset.columns import decode_array, read_columns
 from cei_converters.dataset.description import Description
-from cei_converters.dataset.episodes import EncodedEpisode, encode_episode
+from cei_converters.dataset.encoded import EncodedEpisode, encode_episode
 from cei_gym.errors import CEIError, one_line
 
 OF_EVERY_DATASET = ("timestamp", "frame_index", "episode_index", "index", "task_index")
@@ -95,20 +95,34 @@ class Carried:
         }
         return Carried(columns, None if self.tasks is None else tuple(self.tasks[t] for t in frames))
 
+    def check_frames(self, frames: int) -> None:
+        """Check that all are of as many frames.
+
+        Raises:
+            CEIError: a column has more or fewer.
+        """
+        lengths = {key: len(values) for key, values in self.columns.items()}
+        lengths |= {} if self.tasks is None else {"task_index": len(self.tasks)}
+        for key, length in lengths.items():
+            if length != frames:
+                raise CEIError(
+                    f"{key} has {length} frames, where the demonstration has {frames}; what cuts one should cut the other, by `at`."
+                )
+
     def encode(self, features: Mapping[str, dict]) -> EncodedEpisode:
         """As a dataset with these features stores them."""
-        from datasets.table import cast_array_to_feature
-        from lerobot.datasets.feature_utils import get_hf_features_from_features
-
         numbers = {key: values for key, values in self.columns.items() if isinstance(values, np.ndarray)}
-        encoded = encode_episode(numbers, features, "")
-        texts = {key: features[key] for key in self.columns if key not in numbers}
-        hf_features = get_hf_features_from_features(texts)
-        table = encoded.table
-        for key in hf_features:
-            array = cast_array_to_feature(self.columns[key], hf_features[key])
-            table = table.append_column(hf_features.arrow_schema.field(key), array)
-        return EncodedEpisode(table, encoded.statistics)
+        table = encode_episode(numbers, features, "").table
+        for key in features:
+            if key in self.columns and key not in numbers:
+                table = table.append_column(key, _plain(self.columns[key]))
+        return EncodedEpisode(table, tasks=self.tasks)
+
+
+def _plain(texts: Any) -> pa.Array:
+    """Texts in one type, however the file has them: those of several files may become one."""
+    texts = texts.dictionary_decode() if pa.types.is_dictionary(texts.type) else texts
+    return texts.cast(pa.string()) if pa.types.is_large_string(texts.type) else texts
 
 
 def choose(features: Mapping[str, dict], used: Iterable[str]) -> tuple[dict[str, dict], dict[str, str]]:

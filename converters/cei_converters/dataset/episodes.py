@@ -4,9 +4,7 @@ LeRobot's own writer takes frames as a robot gives them, one by one, and spends 
 is one Arrow table from the start. Features, metadata, statistics and layout of files are LeRobot's, by its own functions.
 """
 
-import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,45 +12,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.columns import decode_array
+from cei_converters.dataset.encoded import EncodedEpisode, encode_episode
 from cei_converters.dataset.schema import POINT_CLOUD
 from cei_converters.dataset.video_files import VideoFiles
 
 _MB = 1024**2
 _WITHOUT_STATISTICS = ("image", "video", "string", "language")
-
-
-@dataclass(frozen=True)
-class EncodedEpisode:
-    """An episode as it is stored, wherever in a dataset that may be.
-
-    Attributes:
-        table: a column each feature, but for those that say where in the dataset frames are, and for pictures that pass
-            through.
-        statistics: of images alone, feature key to LeRobot's; those of numbers are found in the table as it is written.
-        task: what it shows, in words.
-        tasks: the same of each frame; None where they are alike.
-    """
-
-    table: pa.Table
-    statistics: Mapping[str, dict[str, np.ndarray]] = field(default_factory=dict)
-    task: str = ""
-    tasks: Sequence[str] | None = None
-
-
-def encode_episode(columns: Mapping[str, np.ndarray], features: Mapping[str, dict], task: str) -> EncodedEpisode:
-    """Values as a dataset stores them. Of numbers in rows this needs nothing of LeRobot's, whose import takes long.
-
-    Args:
-        columns: feature key to (T, ...) values of the feature's type; images as (T, H, W, 1 or 3).
-        features: LeRobot's description of each column.
-        task: what the episode shows, in words.
-    """
-    own = {key: feature for key, feature in features.items() if key in columns}
-    table = pa.table({key: _arrow(columns[key], feature) for key, feature in own.items()})
-    images = {key: feature for key, feature in own.items() if feature["dtype"] == "image"}
-    return EncodedEpisode(table, {key: _image_statistics(columns[key], each) for key, each in images.items()}, task)
 
 
 class EpisodeWriter:
@@ -91,24 +57,20 @@ class EpisodeWriter:
         )
         if tasks:
             self._meta.save_episode_tasks(list(tasks))
-        self._schema: pa.Schema = get_hf_features_from_features(self._meta.features).arrow_schema
+        self._features = get_hf_features_from_features(self._meta.features)
+        self._schema: pa.Schema = self._features.arrow_schema
         self._videos = VideoFiles(root, self._meta)
         self._file: pq.ParquetWriter | None = None
         self._place = 0, 0  # chunk, file
 
-    def add(
-        self, episode: EncodedEpisode, pictures: Pictures | None = None, carried: EncodedEpisode | None = None
-    ) -> None:
+    def add(self, episode: EncodedEpisode) -> None:
         """Append an episode.
 
-        Args:
-            episode: what is stored of it.
-            pictures: those that pass through as they are.
-            carried: columns that do, of the same frames, and maybe the frames' tasks.
+        Raises:
+            CEIError: a video that it is a part of is not there any more.
         """
-        pictures, carried = pictures or Pictures(), carried or EncodedEpisode(pa.table({}), {})
         frames = episode.table.num_rows
-        each = carried.tasks or [episode.task] * frames
+        each = episode.tasks or [episode.task] * frames
         tasks = list(dict.fromkeys(each))
         start = int(self._meta.total_frames)
         self._meta.save_episode_tasks(tasks)
@@ -121,12 +83,11 @@ class EpisodeWriter:
             "index": start + frame_index,
             "task_index": np.array([number[task] for task in each]),
         }
-        added = encode_episode(place_of_frames, self._meta.features, "")
-        columns = {key: table[key] for table in (episode.table, carried.table) for key in table.column_names}
-        found = {**self._statistics(columns), **episode.statistics, **carried.statistics}
+        added = encode_episode(place_of_frames, self._meta.features, "").table
+        columns = {key: episode.table[key] for key in episode.table.column_names}
+        found = {**self._statistics(columns), **episode.statistics}
         found |= {key: _number_statistics(values) for key, values in place_of_frames.items()}
-        columns |= {**{key: added.table[key] for key in added.table.column_names}, **pictures.images}
-        self._write(pa.Table.from_arrays([columns[key] for key in self._schema.names], schema=self._schema))
+        self._write(self._cast(columns | {key: added[key] for key in added.column_names}))
         chunk, file = self._place
         place: dict[str, int | float] = {
             "data/chunk_index": chunk,
@@ -134,10 +95,24 @@ class EpisodeWriter:
             "dataset_from_index": start,
             "dataset_to_index": start + frames,
         }
-        for key, clip in pictures.clips.items():
+        for key, clip in episode.clips.items():
             place |= self._videos.add(key, clip)
-        own = {key: found[key] for key in self._schema.names if key in found}
-        self._meta.save_episode(self._meta.total_episodes, frames, tasks, {**own, **pictures.statistics}, place)
+        for key, video in episode.videos.items():
+            place |= self._videos.write(key, video, frames)
+        own = {key: found[key] for key in self._meta.features if key in found}
+        self._meta.save_episode(self._meta.total_episodes, frames, tasks, own, place)
+
+    def _cast(self, columns: Mapping[str, Any]) -> pa.Table:
+        """The rows of an episode, in the types in which `datasets` has LeRobot's features."""
+        from datasets.table import cast_array_to_feature
+
+        cast = [
+            columns[key]
+            if columns[key].type == kind
+            else cast_array_to_feature(columns[key].combine_chunks(), self._features[key])
+            for key, kind in zip(self._schema.names, self._schema.types, strict=True)
+        ]
+        return pa.Table.from_arrays(cast, schema=self._schema)
 
     def _statistics(self, columns: Mapping[str, Any]) -> dict[str, dict[str, np.ndarray]]:
         """LeRobot's statistics of columns of numbers, but for clouds: those of the 3072 entries of a flat one say nothing, and LeRobot
@@ -193,22 +168,6 @@ class EpisodeWriter:
             self._file = None
 
 
-def _arrow(values: np.ndarray, feature: Mapping[str, Any]) -> pa.Array:
-    """As `datasets` has them by LeRobot's features."""
-    if feature["dtype"] == "image":
-        return _images(values)
-    shape = tuple(feature["shape"])
-    if len(shape) == 1:
-        flat = pa.array(values.astype(feature["dtype"], copy=False).ravel())
-        return flat if shape == (1,) else pa.FixedSizeListArray.from_arrays(flat, shape[0])
-    from datasets.features.features import numpy_to_pyarrow_listarray
-    from datasets.table import cast_array_to_feature
-    from lerobot.datasets.feature_utils import get_hf_features_from_features
-
-    (hf_feature,) = get_hf_features_from_features({"values": feature}).values()
-    return cast_array_to_feature(numpy_to_pyarrow_listarray(values.reshape(len(values), *shape)), hf_feature)
-
-
 def _number_statistics(values: np.ndarray) -> dict[str, np.ndarray]:
     """As LeRobot's `compute_episode_stats`."""
     from lerobot.datasets.compute_stats import get_feature_stats
@@ -219,28 +178,3 @@ def _number_statistics(values: np.ndarray) -> dict[str, np.ndarray]:
         np.repeat(values, 2, axis=0) if len(values) == 1 else values, axis=0, keepdims=values.ndim == 1
     )
     return stats | {"count": np.array([len(values)])} if len(values) == 1 else stats
-
-
-def _image_statistics(values: np.ndarray, feature: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """As LeRobot's `compute_episode_stats`, which reads images from files."""
-    from lerobot.datasets.compute_stats import auto_downsample_height_width, get_feature_stats, sample_indices
-
-    images = values[sample_indices(len(values))].transpose(0, 3, 1, 2)
-    small = np.stack([auto_downsample_height_width(image) for image in images])
-    stats = get_feature_stats(small, axis=(0, 2, 3), keepdims=True)
-    largest = 1.0 if (feature.get("info") or {}).get("is_depth_map") else 255.0
-    return {name: value if name == "count" else value[0] / largest for name, value in stats.items()}
-
-
-def _images(images: np.ndarray) -> pa.Array:
-    """(T, H, W, 1) depth as LeRobot's TIFF, (T, H, W, 3) pictures as its PNG, in the cells of `datasets.Image`."""
-    from datasets import Image
-    from lerobot.datasets.image_writer import image_array_to_pil_image, save_kwargs_for_path
-
-    cells: list[dict[str, Any]] = []
-    kind = "tiff" if images.shape[-1] == 1 else "png"
-    for frame, image in enumerate(images):
-        path, buffer = Path(f"frame-{frame:06d}.{kind}"), io.BytesIO()
-        image_array_to_pil_image(image).save(buffer, format=kind.upper(), **save_kwargs_for_path(path, 1))
-        cells.append({"bytes": buffer.getvalue(), "path": str(path)})
-    return pa.array(cells, Image().pa_type)

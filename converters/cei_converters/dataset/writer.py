@@ -3,7 +3,7 @@
 import contextlib
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -12,11 +12,10 @@ import numpy as np
 
 from cei_converters import signals
 from cei_converters.dataset import schema
-from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.card import write_card
-from cei_converters.dataset.carried import Carried
 from cei_converters.dataset.columns import encode
-from cei_converters.dataset.episodes import EncodedEpisode, EpisodeWriter, encode_episode
+from cei_converters.dataset.encoded import EncodedEpisode, encode_episode
+from cei_converters.dataset.episodes import EpisodeWriter
 from cei_converters.dataset.essentials import with_essentials
 from cei_converters.dataset.home import lerobot_home
 from cei_converters.dataset.identity import digest
@@ -122,44 +121,28 @@ class DatasetWriter:
             shutil.rmtree(self.partial)
         return self
 
-    def add(
-        self,
-        demonstration: Demonstration,
-        record: dict[str, Any] | None = None,
-        pictures: Pictures | None = None,
-        carried: Carried | None = None,
-    ) -> None:
+    def add(self, demonstration: Demonstration, record: dict[str, Any] | None = None) -> None:
         """Write one episode.
 
         Args:
             demonstration: the episode.
             record: what `meta/cei_episodes.jsonl` shall keep of it (seed, quality, ...).
-            pictures: what cameras saw in these frames, if any pass through.
-            carried: what else there is of these frames.
 
         Raises:
             CEIError: the episode does not match the first one, or a depth is out of range.
         """
         header = Header.of(demonstration, self._state_key)
         columns = encode(demonstration, self._state_key)
-        episode = encode_episode(columns, header.features, demonstration.task)
-        self.append(header, episode, record, pictures, carried)
+        self.append(header, encode_episode(columns, header.features, demonstration.task), record)
 
-    def append(
-        self,
-        header: Header,
-        episode: EncodedEpisode,
-        record: dict[str, Any] | None = None,
-        pictures: Pictures | None = None,
-        carried: Carried | None = None,
-    ) -> None:
-        """Write one episode that is encoded already; see `add`."""
+    def append(self, header: Header, episode: EncodedEpisode, record: dict[str, Any] | None = None) -> None:
+        """Write one episode that is encoded already, with what passes through and what is carried over; see `add`."""
         if self._header is None:
             self._start(header)
         else:
             _check_same(self._header, header, f"episode {self._count}")
         assert self._episodes is not None and self._records is not None
-        self._episodes.add(episode, pictures, _encoded(carried, self._carried))
+        self._episodes.add(episode)
         rows = digest(episode.table, header.features, f"episode {self._count}")
         self._records.add({**(record or {}), ROWS: rows})
         self._count += 1
@@ -236,10 +219,6 @@ def publish_dataset(partial: Path, root: Path, repo_id: str, metadata: Metadata)
     metadata.save(partial)
     write_card(partial, repo_id, metadata)
     publish(partial, root)
-
-
-def _encoded(carried: Carried | None, features: Mapping[str, dict]) -> EncodedEpisode | None:
-    return None if carried is None else replace(carried.encode(features), tasks=carried.tasks)
 
 
 def _check_same(first: Header, other: Header, where: str) -> None:
