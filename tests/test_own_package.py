@@ -18,7 +18,12 @@ import pytest
 from cei_converters.conversion.episode import Recorded
 from cei_converters.conversion.gate import Gate
 from cei_converters.conversion.steps import Encode, Judge, OnRecorded, Retarget
+from cei_converters.dataset.cameras import Pictures
+from cei_converters.dataset.columns import encode
+from cei_converters.dataset.encoded import encode_episode
+from cei_converters.dataset.picture_encoding import encode_pictures
 from cei_converters.dataset.schema import PRIVILEGED_STATE
+from cei_converters.dataset.writer import DatasetWriter, Header
 from cei_converters.sources.reader import DatasetReader
 from cei_envs.environment import CEIEnv
 from cei_envs.experts import Expert
@@ -106,10 +111,68 @@ def test_its_task_is_recorded_by_its_expert(installed: dict[str, str], tmp_path:
     assert run(installed, "-c", code).stdout.split()[-1] == "200"
 
 
+def test_its_pictures_are_stored_as_the_features_are_and_said_to_be_painted(
+    installed: dict[str, str], tmp_path: Path
+) -> None:
+    body, size = load_embodiment(ROBOT), (32, 48, 3)
+    names = ["height", "width", "channels"]
+    features = {
+        f"observation.images.{kind}": {"dtype": kind, "shape": size, "names": names} for kind in ("image", "video")
+    }
+    video = "observation.images.video"
+    shown = np.zeros((FRAMES, *size), np.uint8)
+    shown[..., 0] = 25 * np.arange(FRAMES)[:, None, None]  # red, frame by frame more
+    painted = encode_pictures(Pictures(features=features, painted=dict.fromkeys(features, shown)), 20.0, tmp_path)
+    scene = Scene(np.eye(4), (), np.array([[-2.0, -2.0, -1.0], [2.0, 2.0, 2.0]]), table_z_m=-0.5)
+    qpos = body.home + np.linspace(0, 2.0, FRAMES)[:, None] * (
+        np.arange(len(body.home)) == 0
+    )  # too fast: frames repeat
+    action = np.concatenate([qpos[1:], qpos[-1:]])
+    demonstration = Demonstration(ROBOT, 20.0, qpos, action, scene, "turn")
+    header = Header.of(demonstration)
+    with DatasetWriter("me/red", tmp_path / "red", cameras=features) as writer:
+        own = encode_episode(encode(demonstration), header.features, "turn")
+        for _ in range(2):
+            writer.append(header, own.joined(painted))
+    options = ["--dataset.repo_id=me/red", f"--dataset.root={tmp_path / 'red'}", f"--target={TARGET}"]
+    new = ["--new_repo_id=me/grey", f"--new_root={tmp_path / 'grey'}", "--steps=[grey_pictures]", "--workers=3"]
+    few = ["--init.starts=8", "--init.basins=1", "--allow_unreachable", "--shard_episodes=1"]  # two processes
+    result = run(installed, "-m", "cei_converters.start", "convert", *options, *new, *few)
+    assert result.returncode == 0, result.stderr
+    assert "show the source robot, unless a step paints others: " in result.stdout and "Svt" not in result.stderr
+    reader = DatasetReader("me/grey", tmp_path / "grey")
+    for index in range(2):
+        frames = np.array(reader.record(index)["source_frames"])
+        assert reader.record(index)["painted"] == sorted(features) and len(frames) > FRAMES
+        pictures = reader.pictures(index)
+        expected = np.rint(0.299 * shown[frames, :, :, :1]).astype(int)
+        for key, within in zip(features, (0, 3), strict=True):  # a video loses some
+            assert np.abs(pictures.decode(key) - expected).max() <= within
+        np.testing.assert_allclose(pictures.statistics[video]["mean"].ravel(), [expected.mean() / 255] * 3, atol=1e-3)
+    card = (tmp_path / "grey/README.md").read_text()
+    assert f"In 2 of 2 episodes pictures of `{video}` were painted, by steps of a package (`grey_pictures`)." in card
+    assert "still show" not in card
+
+
+def test_what_cuts_a_demonstration_cuts_its_pictures() -> None:
+    key, feature = "observation.images.front", {"dtype": "image", "shape": (2, 2, 3)}
+    pictures = Pictures(features={key: feature}).paint(key, np.zeros((FRAMES, 2, 2, 3), np.uint8))
+    pictures.at(np.arange(3)).check_frames(3, repeated=True)
+    with pytest.raises(CEIError, match=rf"^{key} has {FRAMES} frames, where the demonstration has 3; what cuts one"):
+        pictures.check_frames(3, repeated=True)
+    with pytest.raises(CEIError, match=r"^unknown camera 'left'\. Valid: observation.images.front\.$"):
+        pictures.paint("left", np.zeros((FRAMES, 2, 2, 3), np.uint8))
+    with pytest.raises(CEIError, match=r"is painted as float64 of shape \(8, 2, 2, 3\); it should be uint8 of shape"):
+        pictures.paint(key, np.zeros((FRAMES, 2, 2, 3)))
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--steps=[loud_start]"], "unknown step 'loud_start'. Did you mean 'quiet_start'? Valid: quiet_start."),
+        (
+            ["--steps=[loud_start]"],
+            "unknown step 'loud_start'. Did you mean 'quiet_start'? Valid: grey_pictures, quiet_start.",
+        ),
         (
             ["--solver.backend=gradients"],
             "unknown solver.backend 'gradients'. Did you mean 'gradient'? Valid: auto, numba, torch, paper, gradient.",

@@ -89,7 +89,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         for name, notes in notes_on_robots(converter).items():
             print("\n".join(f"note: {name}: {note}" for note in notes))
         reader.check_videos(sorted(set(converter.selected)))
-        print("\n".join([about_cameras(reader, bool(converter.cameras)), *about_columns(reader)]))
+        print("\n".join([about_cameras(reader, bool(converter.cameras), bool(config.steps)), *about_columns(reader)]))
         if isinstance(reader.metadata, Remains):
             print(
                 f"{reader.repo_id} was edited by a tool that lost how it came about: its license is not carried over, nor what was "

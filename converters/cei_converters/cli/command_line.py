@@ -200,8 +200,10 @@ def _required(config_cls: type, prefix: str = "") -> Iterator[str]:
 
 
 def quiet_libraries() -> None:
-    """Keep libraries' warnings (LeRobot's on a missing FFmpeg is 80 lines) from burying the one line that matters."""
+    """Keep libraries' warnings (LeRobot's on a missing FFmpeg is 80 lines, the AV1 encoder's 30 a video) from burying the one line that
+    matters."""
     logging.getLogger().setLevel(logging.ERROR)
+    os.environ.setdefault("SVT_LOG", "1")  # errors alone
 
 
 def run[Config](

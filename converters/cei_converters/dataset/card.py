@@ -110,11 +110,17 @@ def _cameras(metadata: Metadata, info: dict, records: Records) -> str:
         text = "Point clouds were made from the source's."
     dtypes = {key: feature["dtype"] for key, feature in info["features"].items()}
     pictures = [key for key, dtype in dtypes.items() if dtype in ("image", "video")]
-    if pictures:
+    painted = Counter(key for record in records for key in record.get("painted", ()))
+    if untouched := [key for key in pictures if painted[key] < len(records)]:
         shown = " or ".join(dict.fromkeys(source.embodiment for source in sources))
         text += (
-            f" Pictures of {listed(pictures)} are the source's, passed through untouched: **they still show "
+            f" Pictures of {listed(untouched)} are the source's, passed through untouched: **they still show "
             f"{shown}, not {metadata.embodiment}**."
+        )
+    for key, count in sorted(painted.items()):
+        steps = listed(metadata.provenance.options.get("steps") or ())
+        text += (
+            f" In {count} of {len(records)} episodes pictures of `{key}` were painted, by steps of a package ({steps})."
         )
     stretched = sum("source_frames" in record for record in records)
     if stretched and "video" in dtypes.values():
