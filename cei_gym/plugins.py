@@ -3,7 +3,7 @@
 Names are read from metadata, without importing anything; what they name is imported when it is asked for.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import Any
@@ -37,6 +37,13 @@ def offered(group: str) -> dict[str, EntryPoint]:
                 f"two packages offer {point.name!r} of {group}: {other.value} and {point.value}; uninstall one."
             )
     return points
+
+
+def providers(group: str, names: Iterable[str]) -> dict[str, str]:
+    """Name to version of the installed packages that offer these of a group, those that nobody offers left out."""
+    points = offered(group)
+    packages = [points[name].dist for name in names if name in points]
+    return {package.name: package.version for package in packages if package is not None}
 
 
 def load(group: str, name: str, kind: type, what: str) -> Any:

@@ -95,6 +95,7 @@ def test_its_format_is_read_its_step_and_solver_are_used(
     assert len(reader) == 2 and reader.embodiment.name == TARGET
     options = json.loads((new / "meta/cei.json").read_text())["provenance"]["options"]
     assert options["steps"] == ["quiet_start"] and options["solver"]["backend"] == "gradient"
+    assert json.loads((new / "meta/cei.json").read_text())["provenance"]["versions"]["lab-cei"] == "0.1.0"
     for index in range(2):
         shown = reader.record(index)["source_frames"]
         assert shown[:5] == [0] * 5 and shown[-1] == FRAMES - 1

@@ -7,6 +7,8 @@ from cei_converters.conversion.assumptions import notes_on_robots
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.conversion.plan import BY_CONTENT
 from cei_converters.dataset.provenance import fingerprint
+from cei_gym import plugins
+from cei_gym.alignment import registry
 
 if TYPE_CHECKING:
     from cei_converters.conversion.converter import Converter
@@ -21,9 +23,11 @@ def files_by_content(config: ConvertConfig) -> dict[str, str]:
 
 def provenance_of(config: ConvertConfig, converter: "Converter", content: str) -> "Provenance":
     """How the dataset comes about; `content` is the fingerprint of the one that is converted."""
+    from cei_converters.conversion import steps
     from cei_converters.dataset.license import source_license
     from cei_converters.dataset.metadata import Source
     from cei_converters.dataset.provenance import collect, command_line, published
+    from cei_converters.sources import formats
     from cei_converters.sources.joint_map import load_joint_map
     from cei_gym.embodiment import fingerprint as identity
 
@@ -49,8 +53,18 @@ def provenance_of(config: ConvertConfig, converter: "Converter", content: str) -
     }
     if config.joint_map is not None:
         options["joint_map"] = load_joint_map(config.joint_map)
+    added = {
+        **plugins.providers(steps.GROUP, config.steps or ()),
+        **plugins.providers(registry.GROUP, [config.solver.backend] * (config.solver.backend not in registry.OWN)),
+        **plugins.providers(formats.GROUP, [formats.format_of(config.dataset.root)]),
+    }
     return collect(
-        options, command_line("cei-convert", config), source=source, inputs=inputs, notes=notes_on_robots(converter)
+        options,
+        command_line("cei-convert", config),
+        source=source,
+        inputs=inputs,
+        notes=notes_on_robots(converter),
+        packages=added,
     )
 
 

@@ -38,6 +38,7 @@ def collect(
     inputs: Mapping[str, str] | None = None,
     pads: Mapping[str, Any] | None = None,
     notes: Mapping[str, Sequence[str]] | None = None,
+    packages: Mapping[str, str] | None = None,
 ) -> Provenance:
     """Provenance of a dataset that is made now.
 
@@ -48,6 +49,7 @@ def collect(
         inputs: what else it is made of, to its fingerprint.
         pads: the functional pads that are used, if any.
         notes: what was assumed or left out of robots' descriptions, by their names.
+        packages: versions of packages whose additions are used, by name.
     """
     return Provenance(
         source=source,
@@ -55,7 +57,7 @@ def collect(
         inputs=dict(inputs or {}),
         pads=plain(dict(pads or {})),
         notes={name: [*each] for name, each in (notes or {}).items() if each},
-        versions=versions(PACKAGES),
+        versions=versions(PACKAGES) | dict(packages or {}),
         git_commit=git_commit(),
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         command=command,

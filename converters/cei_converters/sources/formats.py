@@ -50,7 +50,7 @@ def open_source(
         "calibration": calibration,
         "joint_map": mapped,
     }
-    kind = _kind(root)
+    kind = format_of(root)
     if kind not in (LEROBOT, HDF5, ZARR):
         source = _load(kind)(repo_id, str(root), **options)
         if lacking := [name for name in _SAID if not hasattr(source, name)]:
@@ -75,7 +75,7 @@ def find_root(repo_id: str, root: str | Path | None = None) -> Path:
     Raises:
         CEIError: there is none.
     """
-    if root is not None and _kind(root) != LEROBOT:
+    if root is not None and format_of(root) != LEROBOT:
         return Path(root)
     from cei_converters.dataset.locate import locate
 
@@ -95,7 +95,7 @@ def read_recordings(
     Raises:
         CEIError: it cannot be read, or has no features to choose.
     """
-    kind = _kind(root)
+    kind = format_of(root)
     if kind != LEROBOT and (state != schema.STATE or action not in (None, schema.ACTION)):
         raise CEIError(f"{root} has none of LeRobot's features to look at; leave out --state and --action.")
     if kind not in (LEROBOT, HDF5, ZARR):
@@ -123,7 +123,7 @@ _MARKS = (".zgroup", "zarr.json")
 _FEW = 100  # entries of a folder that are looked at
 
 
-def _kind(root: str | Path | None) -> str:
+def format_of(root: str | Path | None) -> str:
     """Which format a path holds; LeRobot's where it is its own business to say what is missing.
 
     Raises:
