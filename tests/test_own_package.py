@@ -5,6 +5,7 @@ Also what is refused: contracts that are not kept.
 
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -108,6 +109,12 @@ def test_its_task_is_recorded_by_its_expert(installed: dict[str, str], tmp_path:
     result = run(installed, "-m", "cei_converters.start", "record", *options)
     assert result.returncode == 0, result.stderr
     assert DatasetReader("me/touched", root).read(0).task == "Touch the cube."
+    benchmark = ["--tasks=TouchCube", "--targets=UR5e-Inspire", "--episodes=1", "--seed=0"]
+    folders = [f"--results={tmp_path / 'results'}", f"--work={tmp_path / 'work'}"]
+    result = run(installed, "-m", "cei_converters.start", "benchmark.command", "replay", *benchmark, *folders)
+    assert result.returncode == 0, result.stderr
+    table = (tmp_path / "results/replay.md").read_text()
+    assert re.search(r"\| TouchCube \| (0|100) \| (0|100) \| - \| 1 of 16 \| 1 of 1 \|", table), table
     code = "import gymnasium as gym, cei_gym; print(gym.spec('CEI-TouchCube-IIWA-Inspire').max_episode_steps)"
     assert run(installed, "-c", code).stdout.split()[-1] == "200"
 

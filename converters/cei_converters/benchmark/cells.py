@@ -4,11 +4,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from cei_converters.benchmark import paper
+from cei_gym import plugins
 from cei_gym.embodiment import ARMS
 from cei_gym.errors import CEIError, unknown
 
 SOURCE = "Panda-PandaGripper"
 TASKS = tuple(paper.REPLAY)
+OFFERED = "cei_gym.tasks"
+"""Entry points of tasks that packages add; they go into the main table, without a figure of the paper, where they are asked for."""
 END_EFFECTORS = tuple(paper.REPLAY[TASKS[0]])
 TARGETS = tuple(f"{arm}-{end_effector}" for end_effector in END_EFFECTORS for arm in ARMS)
 NO_DIRECTION, NO_CONTACT = ["--solver.lambda_m=0"], ["--contact.opposition_weight=0", "--contact.squeeze_m=0"]
@@ -57,12 +60,12 @@ class Entry:
     paper: float | None
 
 
-def _main() -> Iterable[Entry]:
-    for task in TASKS:
-        yield Entry(Cell(task, SOURCE), "source", None)
-        for target in TARGETS:
-            cell = Cell(task, target)
-            yield Entry(cell, "CEI", paper.REPLAY[task][cell.end_effector][cell.arm])
+def main_entries(task: str) -> Iterable[Entry]:
+    """A task's part of the main table: the source itself, and each target."""
+    yield Entry(Cell(task, SOURCE), "source", None)
+    for target in TARGETS:
+        cell = Cell(task, target)
+        yield Entry(cell, "CEI", paper.REPLAY[task][cell.end_effector][cell.arm] if task in TASKS else None)
 
 
 def _ablation() -> Iterable[Entry]:
@@ -87,22 +90,37 @@ def _sensitivity() -> Iterable[Entry]:
         yield Entry(Cell(paper.SENSITIVITY_TASK, target, variant), label, figure)
 
 
-TABLES = {"main": tuple(_main()), "ablation": tuple(_ablation()), "sensitivity": tuple(_sensitivity())}
+TABLES = {
+    "main": tuple(entry for task in TASKS for entry in main_entries(task)),
+    "ablation": tuple(_ablation()),
+    "sensitivity": tuple(_sensitivity()),
+}
+"""Those of the paper."""
+
+
+def own_tasks() -> list[str]:
+    """Tasks that installed packages add."""
+    return [name for name in plugins.offered(OFFERED) if name not in TASKS]
 
 
 def all_cells() -> list[Cell]:
-    """Every cell of every table, each once."""
-    return list(dict.fromkeys(entry.cell for table in TABLES.values() for entry in table))
+    """Every cell of every table, each once, and those of tasks that packages add."""
+    of_paper = (entry.cell for table in TABLES.values() for entry in table)
+    return list(dict.fromkeys([*of_paper, *(entry.cell for task in own_tasks() for entry in main_entries(task))]))
 
 
 def select(tables: str | None, tasks: str | None, targets: str | None) -> list[Cell]:
-    """Cells of some tables, tasks and targets (lists such as `a,b`; None for all); the source comes with the main table.
+    """Cells of some tables, tasks and targets (lists such as `a,b`; None for all of the paper's); the source comes with the main table.
 
     Raises:
         CEIError: an unknown name (the message lists the valid ones), or nothing is left.
     """
-    entries = [entry for name in _names("table", tables, TABLES) for entry in TABLES[name]]
-    wanted_tasks, wanted_targets = _names("task", tasks, TASKS), [SOURCE, *_names("target", targets, TARGETS)]
+    wanted = _names("table", tables, TABLES)
+    wanted_tasks = list(TASKS) if tasks is None else _names("task", tasks, (*TASKS, *own_tasks()))
+    wanted_targets = [SOURCE, *_names("target", targets, TARGETS)]
+    entries = [entry for name in wanted for entry in TABLES[name]]
+    if "main" in wanted:
+        entries += [entry for task in wanted_tasks if task not in TASKS for entry in main_entries(task)]
     cells = {e.cell: None for e in entries if e.cell.task in wanted_tasks and e.cell.target in wanted_targets}
     if not cells:
         there = (dict.fromkeys(names) for names in zip(*((e.cell.task, e.cell.target) for e in entries), strict=True))

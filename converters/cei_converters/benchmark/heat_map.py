@@ -7,8 +7,8 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from cei_converters.benchmark.cells import END_EFFECTORS, TABLES, TASKS
-from cei_converters.benchmark.tables import Found, averages, percent, shown
+from cei_converters.benchmark.cells import END_EFFECTORS
+from cei_converters.benchmark.tables import Found, averages, percent, shown, targets_of, tasks_of
 from cei_gym.embodiment import ARMS
 
 SIZE = 0.94  # of a cell, whose middle is at whole numbers
@@ -21,8 +21,9 @@ def write_heat_map(found: Found, path: Path) -> None:
 
     A cell below the paper's figure has a red frame, one that is not finished is hatched.
     """
-    figure = Figure(figsize=(13, 4.9), layout="constrained")
-    panels = dict(zip(TASKS, figure.subplots(1, len(TASKS), sharey=True), strict=True))
+    tasks = tasks_of(found)
+    figure = Figure(figsize=(13 * len(tasks) / 3, 4.9), layout="constrained")
+    panels = dict(zip(tasks, figure.subplots(1, len(tasks), sharey=True), strict=True))
     for task, axes in panels.items():
         ours, stock, paper = map(shown, averages(found, task))
         axes.set_title(f"{task}: {ours} (stock {stock} · paper {paper})", fontsize=11)
@@ -31,32 +32,31 @@ def write_heat_map(found: Found, path: Path) -> None:
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
         axes.set_aspect("equal")
-    for entry in TABLES["main"]:
-        if entry.paper is not None:  # not the source
-            cell, result = entry.cell, found.get(entry.cell)
-            x, y = ARMS.index(cell.arm), END_EFFECTORS.index(cell.end_effector)
-            if result is None:
-                _draw_missing(panels[cell.task], x, y, entry.paper)
-            else:
-                ours, stock = percent(result["replay"]), percent(result["stock_replay"])
-                _draw_cell(panels[cell.task], x, y, ours, stock, entry.paper)
+    for entry in (entry for task in tasks for entry in targets_of(task)):
+        cell, result = entry.cell, found.get(entry.cell)
+        x, y = ARMS.index(cell.arm), END_EFFECTORS.index(cell.end_effector)
+        if result is None:
+            _draw_missing(panels[cell.task], x, y, entry.paper)
+        else:
+            ours, stock = percent(result["replay"]), percent(result["stock_replay"])
+            _draw_cell(panels[cell.task], x, y, ours, stock, entry.paper)
     figure.supxlabel(
         "percent of demonstrations that succeed when replayed (above: averages); red: below the paper", fontsize=10
     )
     figure.savefig(path, dpi=120)
 
 
-def _draw_cell(axes, x: int, y: int, ours: float, stock: float, paper: float) -> None:
+def _draw_cell(axes, x: int, y: int, ours: float, stock: float, paper: float | None) -> None:
     """Figures in percent."""
     axes.add_patch(_square(x, y, facecolor=colormaps["Blues"](ours / 100), edgecolor=EDGE))
-    if ours < paper:
+    if paper is not None and ours < paper:
         axes.add_patch(_square(x, y, facecolor="none", edgecolor=BELOW_PAPER, linewidth=2.5))
     text: dict[str, Any] = {"ha": "center", "va": "center", "color": "white" if ours > DARK_PERCENT else "#1c2330"}
     axes.text(x, y - 0.16, shown(ours), fontsize=17, **text)
     axes.text(x, y + 0.24, f"stock {shown(stock)}\npaper {shown(paper)}", fontsize=8, **text)
 
 
-def _draw_missing(axes, x: int, y: int, paper: float) -> None:
+def _draw_missing(axes, x: int, y: int, paper: float | None) -> None:
     axes.add_patch(_square(x, y, facecolor="none", edgecolor=EDGE, hatch="//"))
     box = {"facecolor": "white", "edgecolor": "none", "pad": 2}
     axes.text(x, y + 0.24, f"paper {shown(paper)}", ha="center", va="center", fontsize=8, color="#566074", bbox=box)

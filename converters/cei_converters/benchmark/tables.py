@@ -6,7 +6,7 @@ from math import floor
 from pathlib import Path
 from typing import Any
 
-from cei_converters.benchmark.cells import END_EFFECTORS, SOURCE, TABLES, TASKS, Cell, Entry
+from cei_converters.benchmark.cells import END_EFFECTORS, SOURCE, TABLES, TASKS, Cell, Entry, main_entries
 from cei_converters.benchmark.marks import mark_of
 from cei_gym.embodiment import ARMS
 
@@ -46,9 +46,20 @@ def shown(value: float | None) -> str:
     return "-" if value is None else f"{floor(value + 0.5)}"
 
 
+def tasks_of(found: Found) -> list[str]:
+    """The paper's tasks, and after them those of packages that have a finished cell."""
+    return [*TASKS, *sorted({cell.task for cell in found} - {*TASKS})]
+
+
+def targets_of(task: str) -> list[Entry]:
+    """A task's entries of the main table, without the source."""
+    return [entry for entry in main_entries(task) if entry.cell.target != SOURCE]
+
+
 def write_csv(found: Found, folder: Path) -> None:
     """One file a table, one row a finished cell."""
-    for table, entries in TABLES.items():
+    own = tuple(entry for task in tasks_of(found)[len(TASKS) :] for entry in main_entries(task))
+    for table, entries in (TABLES | {"main": (*TABLES["main"], *own)}).items():
         with (folder / FILES[table]).open("w", newline="") as file:
             columns = [*COLUMNS[table], "paper_percent", "failures"]
             writer = csv.DictWriter(file, columns, lineterminator="\n", extrasaction="ignore")
@@ -77,7 +88,7 @@ def _row(entry: Entry, result: Mapping[str, Any]) -> dict[str, Any]:
 
 def averages(found: Found, task: str) -> tuple[float | None, float | None, float | None]:
     """A task's ours, stock and paper, percent, over the targets whose cells are finished."""
-    entries = [e for e in TABLES["main"] if e.cell.task == task and e.paper is not None and e.cell in found]
+    entries = [e for e in targets_of(task) if e.cell in found]
     ours = mean(percent(found[e.cell]["replay"]) for e in entries)
     stock = mean(percent(found[e.cell]["stock_replay"]) for e in entries)
     return ours, stock, mean(e.paper for e in entries if e.paper is not None)
@@ -93,7 +104,7 @@ def markdown(found: Found) -> str:
             f"Percent of {' or '.join(map(str, episodes))} demonstrations that succeed: ours with the declared physics "
             "exceptions / ours with the hands' stock physics / the paper's. Averages are over the cells that are finished.",
             _summary(found),
-            *(part for task in TASKS for part in (f"## {task}", _grid(found, task))),
+            *(part for task in tasks_of(found) for part in (f"## {task}", _grid(found, task))),
             "## Ablation: ours / the paper's",
             _ablation(found),
             "## Sensitivity to the representation: ours / the paper's",
@@ -105,8 +116,8 @@ def markdown(found: Found) -> str:
 
 def _summary(found: Found) -> str:
     rows = []
-    for task in TASKS:
-        finished = sum(e.cell in found for e in TABLES["main"] if e.cell.task == task and e.paper is not None)
+    for task in tasks_of(found):
+        finished = sum(entry.cell in found for entry in targets_of(task))
         source = found.get(Cell(task, SOURCE))
         sources = "-" if source is None else f"{source['replay']['successes']} of {source['replay']['episodes']}"
         rows.append([task, *map(shown, averages(found, task)), f"{finished} of 16", sources])
@@ -114,7 +125,7 @@ def _summary(found: Found) -> str:
 
 
 def _grid(found: Found, task: str) -> str:
-    figures = {entry.cell: entry.paper for entry in TABLES["main"]}
+    figures = {entry.cell: entry.paper for entry in targets_of(task)}
     rows = []
     for end_effector in END_EFFECTORS:
         cells = [Cell(task, f"{arm}-{end_effector}") for arm in ARMS]
