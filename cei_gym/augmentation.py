@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cei_gym.arrays import Array
 from cei_gym.channels import OnDisplacement, entry_names, present
 from cei_gym.demonstration import Demonstration
 from cei_gym.displacement import Boxes, Displacement, Region, Seen
@@ -48,9 +49,9 @@ class Handling:
         T_world_hand: (T, 4, 4) pose of its root: what is held moves with it.
     """
 
-    held: np.ndarray
-    middle_world: np.ndarray
-    T_world_hand: np.ndarray
+    held: Array
+    middle_world: Array
+    T_world_hand: Array
 
     @property
     def approach(self) -> int:
@@ -58,7 +59,7 @@ class Handling:
         return int(self.held.argmax()) if self.held.any() else len(self.held)
 
     @property
-    def place_world(self) -> np.ndarray:
+    def place_world(self) -> Array:
         """(3,) where it first takes hold, or ends, m."""
         return self.middle_world[min(self.approach, len(self.held) - 1)]
 
@@ -74,7 +75,7 @@ def grid_offsets(positions: tuple[int, int], extent_m: tuple[float, float]) -> l
     return [Offset(float(a), float(b)) for a in x for b in y]
 
 
-def ramp(frames: int, whole: float) -> np.ndarray:
+def ramp(frames: int, whole: float) -> Array:
     """L(t), the clipped linear ramp.
 
     Args:
@@ -87,7 +88,7 @@ def ramp(frames: int, whole: float) -> np.ndarray:
     return np.minimum(np.arange(frames) / whole, 1.0) if whole > 0 else np.ones(frames)
 
 
-def displacement(offset: Offset, about_world: np.ndarray, share: np.ndarray | float = 1.0) -> np.ndarray:
+def displacement(offset: Offset, about_world: Array, share: Array | float = 1.0) -> Array:
     """(..., 4, 4) rigid motion in the world by a share of an offset, which turns about the vertical through a point (3,), m.
 
     The paper moves points by a share of the straight line between X and T_i(X); a turn would shrink pads on the way. Here the
@@ -134,7 +135,7 @@ def displace(
     return replace(demonstration, **there, displacement=moved)
 
 
-def move_state(state: np.ndarray, names: tuple[str, ...], T_world: np.ndarray) -> np.ndarray:
+def move_state(state: Array, names: tuple[str, ...], T_world: Array) -> Array:
     """(T, k) state of objects that all move as one.
 
     Args:
@@ -158,7 +159,7 @@ def move_state(state: np.ndarray, names: tuple[str, ...], T_world: np.ndarray) -
     return moved
 
 
-def boxes_of_state(state: np.ndarray, names: tuple[str, ...], half_m: float | None = None) -> Boxes:
+def boxes_of_state(state: Array, names: tuple[str, ...], half_m: float | None = None) -> Boxes:
     """Where objects are by the task's state, a centimetre of margin around them.
 
     Args:
@@ -191,7 +192,7 @@ def boxes_of_state(state: np.ndarray, names: tuple[str, ...], half_m: float | No
     return Boxes(np.stack(poses, axis=1), np.array(halves))
 
 
-def carried_box(box_world: np.ndarray, handling: Handling) -> Boxes:
+def carried_box(box_world: Array, handling: Handling) -> Boxes:
     """A box in which objects are at first, and the same box wherever the hand has carried it.
 
     Args:
@@ -207,7 +208,7 @@ def carried_box(box_world: np.ndarray, handling: Handling) -> Boxes:
     return Boxes(T, np.tile(np.diff(box_world, axis=0) / 2, (2, 1)))
 
 
-def segmented(demonstration: Demonstration, masks: Mapping[str, np.ndarray]) -> Seen:
+def segmented(demonstration: Demonstration, masks: Mapping[str, Array]) -> Seen:
     """What images show to be objects.
 
     Args:

@@ -6,6 +6,7 @@ from cei_gym.alignment import AlignmentProblem, Stream
 from cei_gym.alignment.contact.squeeze import squeeze
 from cei_gym.alignment.solvers.make import make_second_order_solver
 from cei_gym.alignment.start.starts import find_basins
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
 from cei_gym.transfer import Transfer
@@ -27,7 +28,7 @@ class Impersonation:
         CEIError: the transfer has not been fitted.
     """
 
-    def __init__(self, transfer: Transfer, T_target_source: np.ndarray) -> None:
+    def __init__(self, transfer: Transfer, T_target_source: Array) -> None:
         self._transfer, self._T = transfer, T_target_source
         self.source, self.target = transfer.source, transfer.target
         if not transfer.basins:
@@ -43,7 +44,7 @@ class Impersonation:
         self.reset(self.source.home)
         self.observe(self.act(self.source.home))  # compiles
 
-    def reset(self, qpos: np.ndarray) -> np.ndarray:
+    def reset(self, qpos: Array) -> Array:
         """Start with the source at `qpos` (n,); joint positions (n',) of the target there, rad or m."""
         self._stream.reset()
         self.qpos = np.asarray(qpos, float)
@@ -51,7 +52,7 @@ class Impersonation:
         self._measured = self._expected.copy()
         return start
 
-    def begin_at(self, qpos: np.ndarray) -> None:
+    def begin_at(self, qpos: Array) -> None:
         """Start with the target at `qpos` (n',), and the source where its pads come nearest to the target's."""
         self._measured = self._expected = self.target.coupled.reduce(np.asarray(qpos, float))
         self._stream.resume_from(self._measured)
@@ -60,7 +61,7 @@ class Impersonation:
         u = find_basins(problem, self._transfer.solver_options, points, normals, self._transfer.init)[0]
         self.qpos = self.source.coupled.expand(u)
 
-    def act(self, action: np.ndarray) -> np.ndarray:
+    def act(self, action: Array) -> Array:
         """Joint targets (n,) of the source to those of the target (n',), rad or m."""
         told = np.clip(np.asarray(action, float), self.source.lower, self.source.upper)
         hand = slice(self.source.n_arm, None)
@@ -78,7 +79,7 @@ class Impersonation:
         u = squeeze(self._transfer.problem, followed[None], depth_m)[0]
         return self.target.coupled.expand(u)
 
-    def observe(self, qpos: np.ndarray) -> np.ndarray:
+    def observe(self, qpos: Array) -> Array:
         """Joint positions (n',) of the target, after it has acted, to those of the source (n,), rad or m."""
         self._measured = self.target.coupled.reduce(np.asarray(qpos, float))
         is_, should_be = (self._imitate(u) for u in (self._measured, self._expected))
@@ -86,24 +87,24 @@ class Impersonation:
         self.qpos = np.clip(self.qpos + moved, self.source.lower, self.source.upper)
         return self.qpos.copy()
 
-    def _follow(self, qpos: np.ndarray) -> np.ndarray:
+    def _follow(self, qpos: Array) -> Array:
         points, normals = self._transfer.place_source(qpos, self._T)
         self._expected = self._stream(points, normals)
         return self.target.coupled.expand(self._expected)
 
-    def _imitate(self, u: np.ndarray) -> np.ndarray:
+    def _imitate(self, u: Array) -> Array:
         """(m,) the source's independent joints where the target's pads are those at `u` (m',)."""
         _, solver = self._back
         start = self.source.coupled.reduce(self.qpos)
         return solver.advance(*self._pads_in_source(u), start, start)
 
-    def _pads_in_source(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _pads_in_source(self, u: Array) -> tuple[Array, Array]:
         """The target's points and normals (N', 3) at `u` (m',), in the source's base frame."""
         points, normals = self._transfer.problem.place(u)
         R, t = self._T_back[:3, :3], self._T_back[:3, 3]
         return points @ R.T + t, normals @ R.T
 
-    def _closing_m(self, still: np.ndarray, told: np.ndarray) -> float:
+    def _closing_m(self, still: Array, told: Array) -> float:
         """How much farther the source's pads are told to go along their normals, in the mean, m."""
         (is_, normals), (wanted, _) = (self._transfer.place_source(q, self._T) for q in (still, told))
         return float(np.einsum("ni,ni->n", wanted - is_, normals).mean())

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line
 
 MAX_VALUES = 100_000
@@ -34,7 +35,7 @@ def load_json(text: str) -> Any:
     return _load(lambda text: json.loads(text, object_pairs_hook=_object, parse_int=_whole), text)
 
 
-def finite_row(value: object, count: int) -> np.ndarray:
+def finite_row(value: object, count: int) -> Array:
     """(count,) floats, of whatever is no text, truth or complex number.
 
     Raises:
@@ -86,14 +87,14 @@ class _Loader(yaml.SafeLoader):
     """YAML 1.2's core schema. Version 1.1, PyYAML's own, also reads `on` as true, `1:30` as 90, `010` as 8 and `2024-01-01` as a
     date, and has sets, dates and bytes by tag."""
 
-    yaml_implicit_resolvers: dict = {}  # noqa: RUF012  (PyYAML's own name and type)
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  (PyYAML's own name and type)
     yaml_constructors = {  # noqa: RUF012
         tag: construct
         for tag, construct in yaml.SafeLoader.yaml_constructors.items()
         if tag is None or tag.rpartition(":")[2] in ("null", "bool", "int", "float", "str", "seq", "map")
     }
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         _refuse_repeated([key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)])
         return super().construct_mapping(node, deep)
 

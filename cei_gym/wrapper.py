@@ -5,6 +5,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.errors import CEIError
@@ -101,7 +102,7 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
             observation, info = self.env.reset(seed=seed, options={**(options or {}), **start})
         return self._shown(observation), info
 
-    def step(self, action: np.ndarray):
+    def step(self, action: Array):
         """As the environment's, with actions of the robot that is shown."""
         if self._impersonation is not None:
             wanted = self._impersonation.act(self._checked(action, self._impersonation.source))
@@ -109,7 +110,7 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         observation, reward, terminated, truncated, info = self.env.step(action)
         return self._shown(observation), reward, terminated, truncated, info
 
-    def _shown(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def _shown(self, observation: dict[str, Array]) -> dict[str, Array]:
         qpos = np.asarray(observation[self._joints_key], float)
         points, shown = self._points(observation), {}
         swap = self._synthesiser.options.swap
@@ -122,14 +123,16 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         )
         return {**observation, **shown}
 
-    def _points(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        depth_m, rgb = (
-            self.env.get_wrapper_attr(name)() if self.env.has_wrapper_attr(name) else {} for name in ("depth_m", "rgb")
-        )
+    def _points(self, observation: dict[str, Array]) -> Array:
+        depth_m, rgb = (self._images(name) for name in ("depth_m", "rgb"))
         cloud = np.asarray(observation[self._cloud_key], float)
         points = frame_points(self._scene, depth_m, rgb, cloud, self._synthesiser.options.colours)
         assert points is not None
         return points
+
+    def _images(self, name: str) -> dict[str, Array]:
+        """What the environment's cameras saw, if it has any that say so."""
+        return self.env.get_wrapper_attr(name)() if self.env.has_wrapper_attr(name) else {}
 
     def _given(self, name: str, value: Any) -> Any:
         if value is not None:
@@ -138,10 +141,13 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
             raise CEIError(f"{self.env} has no attribute {name!r}; give it to the wrapper: {name}=...")
         return self.env.get_wrapper_attr(name)
 
-    def _checked_spaces(self, acting: Embodiment) -> dict[str, gym.Space]:
+    def _checked_spaces(self, acting: Embodiment) -> dict[str, gym.Space[Any]]:
         """The environment's own observation spaces."""
-        space, n = self.env.observation_space, len(acting.home)
-        spaces = dict(space.spaces) if isinstance(space, gym.spaces.Dict) else {}
+        space: Any = self.env.observation_space
+        n = len(acting.home)
+        spaces: dict[str, gym.Space[Any]] = (
+            dict(space.spaces) if isinstance(self.env.observation_space, gym.spaces.Dict) else {}
+        )
         for key in (self._joints_key, self._cloud_key):
             if key not in spaces:
                 raise CEIError(f"observations of {self.env} have no {key!r}. They have: {', '.join(spaces) or space}.")
@@ -152,14 +158,14 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         return spaces
 
     @staticmethod
-    def _checked(qpos: np.ndarray, of: Embodiment) -> np.ndarray:
+    def _checked(qpos: Array, of: Embodiment) -> Array:
         try:
             return finite_row(qpos, len(of.home))
         except CEIError as error:
             raise CEIError(f"{of.name} takes {len(of.home)} finite joint positions, not {error}.") from None
 
 
-def _cloud_space(workspace_world: np.ndarray, clouds: CloudOptions, given: gym.Space) -> gym.spaces.Box:
+def _cloud_space(workspace_world: Array, clouds: CloudOptions, given: gym.Space[Any]) -> gym.spaces.Box:
     lower, upper = workspace_world.astype(np.float32)
     # An empty cloud is filled up with zeros.
     low, high = np.minimum(lower, 0), np.maximum(upper, 0)

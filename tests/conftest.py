@@ -48,6 +48,7 @@ SLOW = {
     "test_carried": 20,
     "test_manual": 20,
     "test_quality": 20,
+    "test_results": 20,
     "test_robosuite": 20,
     "test_teleoperation": 20,
     "test_agreement": 19,

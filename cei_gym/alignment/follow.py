@@ -17,6 +17,7 @@ from cei_gym.alignment.options import ContactOptions, SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 from cei_gym.alignment.solvers.make import make_solver
 from cei_gym.alignment.solvers.solver import Solver
+from cei_gym.arrays import Array
 
 _TOLERATED_M = 1e-3
 
@@ -64,18 +65,18 @@ class Follower:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return list(pool.map(self._grasp.refine, motions, tracks))
 
-    def overlap_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
+    def overlap_m(self, motion: Motion, u: Array) -> Array:
         """(T,) how deep links are in objects; see `GraspRefiner.overlap`."""
         return self._grasp.overlap(motion, u)[0]
 
-    def penetration(self, motion: Motion, u: np.ndarray) -> Penetration:
+    def penetration(self, motion: Motion, u: Array) -> Penetration:
         """How deep the target is in itself, its stand, the support surface or objects at (T, m) configurations."""
         support_z = motion.surroundings.support_z_base_m if motion.surroundings else -np.inf
         found = self.clearance.penetration(self.problem.embodiment.coupled.expand(u), support_z)
         overlap_m, links = self._grasp.overlap(motion, u)
         return found.deeper(Penetration(overlap_m, tuple((link, OBJECT) for link in links)))
 
-    def shortfall_m(self, motion: Motion, u: np.ndarray) -> np.ndarray:
+    def shortfall_m(self, motion: Motion, u: Array) -> Array:
         """(T,) how much clearance the worst link lacks at each of (T, m) configurations, m; 0 where none does."""
         assert motion.surroundings is not None
         target, collision = self._links

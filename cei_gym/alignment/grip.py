@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cei_gym.arrays import Array
+
 
 @dataclass(frozen=True)
 class Grip:
@@ -16,18 +18,18 @@ class Grip:
         held: (T,) whether something is held.
     """
 
-    axis: np.ndarray
-    contacts: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
-    held: np.ndarray
+    axis: Array
+    contacts: Array
+    position: Array
+    rotation: Array
+    held: Array
 
-    def at(self, frames: np.ndarray) -> "Grip":
+    def at(self, frames: Array) -> "Grip":
         """The grip with its frames at these indices."""
         return Grip(*(value[frames] for value in vars(self).values()))
 
     @property
-    def carried_m(self) -> np.ndarray:
+    def carried_m(self) -> Array:
         """(T,) how far the end-effector has moved since it took hold, m; 0 where it holds nothing."""
         carried, since = np.zeros(len(self.held)), None
         for t, held in enumerate(self.held):

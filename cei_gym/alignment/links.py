@@ -8,6 +8,7 @@ import numpy as np
 from cei_gym.alignment.kernels.collision import CollisionConstraint, Obstacles
 from cei_gym.alignment.options import ClearanceOptions
 from cei_gym.alignment.problem import AlignmentProblem, Surroundings
+from cei_gym.arrays import Array
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.meshes import collision_geoms, geom_vertices, outermost, spread_directions
 from cei_gym.kinematics import KinematicTree
@@ -26,11 +27,11 @@ class LinkShapes:
         vertices_link: for each, (V, 3) outermost vertices in the link's frame, m.
     """
 
-    body: np.ndarray
-    hand: np.ndarray
-    vertices_link: list[np.ndarray]
+    body: Array
+    hand: Array
+    vertices_link: list[Array]
 
-    def lowest(self, T_links: np.ndarray) -> float:
+    def lowest(self, T_links: Array) -> float:
         """Height of the lowest vertex over (T, L, 4, 4) poses, in their frame, m."""
         heights = [
             (T_links[:, body, 2, :3] @ vertices.T).min(axis=1) + T_links[:, body, 2, 3]
@@ -61,7 +62,7 @@ def _link_shapes(embodiment: Embodiment) -> LinkShapes:
     return LinkShapes(np.array(bodies, int), hand[bodies], vertices)
 
 
-def idle_bodies(problem: AlignmentProblem) -> np.ndarray:
+def idle_bodies(problem: AlignmentProblem) -> Array:
     """(L,) links of fingers that carry no pad: moved by a joint of the hand that moves no pad."""
     carries = problem.tree.moving(problem.representation.body)
     joint = problem.tree.arrays.body_joint
@@ -114,7 +115,7 @@ def pack_obstacles(surroundings: Surroundings | None, frames: int) -> Obstacles:
     return Obstacles(np.concatenate([np.zeros((0, 3)), *points]), start)
 
 
-def _axis_base(joints: JointTree) -> np.ndarray:
+def _axis_base(joints: JointTree) -> Array:
     """(n, 3) axes in the frame of each joint's parent: the base frame for those that have none."""
     return np.einsum("nij,nj->ni", joints.rot, joints.axis)
 

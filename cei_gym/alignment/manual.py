@@ -3,6 +3,7 @@ but a tool frame that the arm carries along and a hand that only opens and close
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional.representation import FunctionalRepresentation, sample_representation
@@ -48,16 +49,16 @@ class ManualTool:
         T_tool[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
         self.T_flange_tool = np.linalg.inv(T_flange) @ T_tool
 
-    def pose(self, qpos: np.ndarray) -> np.ndarray:
+    def pose(self, qpos: Array) -> Array:
         """(..., n) joint positions to tool frames (..., 4, 4) in the base frame."""
         return self._tree.forward(qpos)[..., self.flange, :, :] @ self.T_flange_tool
 
-    def aperture(self, qpos: np.ndarray) -> np.ndarray:
+    def aperture(self, qpos: Array) -> Array:
         """(..., n) joint positions to the distance (...) between the two groups' centroids, m."""
         first, second = self._centroids(self._tree.forward(qpos))
         return np.linalg.norm(second - first, axis=-1)
 
-    def _centroids(self, T_links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _centroids(self, T_links: Array) -> tuple[Array, Array]:
         points, _ = self._representation.place(T_links)
         return points[..., self._first_group, :].mean(-2), points[..., ~self._first_group, :].mean(-2)
 
@@ -82,7 +83,7 @@ class ManualAlignment:
         if half_turn:
             self.source.T_flange_tool[:3, :2] *= -1
 
-    def track(self, qpos_source: np.ndarray, T_target_source: np.ndarray) -> np.ndarray:
+    def track(self, qpos_source: Array, T_target_source: Array) -> Array:
         """Follow a trajectory: the arm by inverse kinematics of the tool frame, the hand by the aperture.
 
         Frame 0 starts from the home pose, or from one around it where the trajectory cannot be followed from there. Frames
@@ -104,7 +105,7 @@ class ManualAlignment:
         u[:, hand] = ((1 - closing) * home + closing * closed)[:, hand]
         return np.clip(u, *embodiment.independent_limits)
 
-    def closing(self, aperture_m: np.ndarray) -> np.ndarray:
+    def closing(self, aperture_m: Array) -> Array:
         """How far the target's hand closes, from 0 (`home`) to 1 (`closed`), to have an aperture.
 
         A thumb's aperture may widen again on the way, when fingers pass it: the first crossing from the open pose counts.
@@ -126,7 +127,7 @@ class ManualAlignment:
         return _CLOSINGS[before] + share * (_CLOSINGS[after] - _CLOSINGS[before])
 
 
-def _first_group(representation: FunctionalRepresentation, T_links: np.ndarray) -> np.ndarray:
+def _first_group(representation: FunctionalRepresentation, T_links: Array) -> Array:
     """(N,) which points belong to the group of fewer pads, of the two that normals split the pads into."""
     _, normals = representation.place(T_links)
     pads, pad = np.unique(representation.body, return_inverse=True)
@@ -139,5 +140,5 @@ def _first_group(representation: FunctionalRepresentation, T_links: np.ndarray) 
     return min(side, ~side, key=lambda group: (group.sum(), not group[0]))[pad]
 
 
-def _unit(vector: np.ndarray) -> np.ndarray:
+def _unit(vector: Array) -> Array:
     return vector / np.linalg.norm(vector)

@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from cei_gym.alignment.grip import Grip
+from cei_gym.arrays import Array
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.functional.representation import FunctionalRepresentation
 from cei_gym.kinematics.tree import KinematicTree
@@ -22,7 +21,7 @@ class Surroundings:
     """
 
     support_z_base_m: float
-    obstacles_base: Sequence[np.ndarray] = ()
+    obstacles_base: Sequence[Array] = ()
     tool_points: float = 0.0
 
 
@@ -39,15 +38,15 @@ class Motion:
         grip: what the source's end-effector does.
     """
 
-    points_base: np.ndarray
-    normals_base: np.ndarray
-    u0: np.ndarray
+    points_base: Array
+    normals_base: Array
+    u0: Array
     iterations: int | None = None
     dt_s: float | None = None
     surroundings: Surroundings | None = None
     grip: Grip | None = None
 
-    def at(self, frames: np.ndarray) -> "Motion":
+    def at(self, frames: Array) -> "Motion":
         """The motion with its frames at these indices."""
         around, grip = self.surroundings, self.grip
         if around is not None and len(around.obstacles_base):
@@ -72,10 +71,10 @@ class Track:
         contact_miss_m: (T,) how far contact points are from the source's, m; None where contact was not carried over.
     """
 
-    u: np.ndarray
-    objective: np.ndarray
-    iterations: np.ndarray
-    contact_miss_m: np.ndarray | None = None
+    u: Array
+    objective: Array
+    iterations: Array
+    contact_miss_m: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -95,6 +94,6 @@ class AlignmentProblem:
         """The target."""
         return self.representation.embodiment
 
-    def place(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def place(self, u: Array) -> tuple[Array, Array]:
         """(..., m) independent joints to pad points and normals (..., N', 3) in the target's base frame."""
         return self.representation.place(self.tree.forward(self.embodiment.coupled.expand(u)))

@@ -6,11 +6,12 @@ from cei_gym.alignment.options import SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 from cei_gym.alignment.solvers.newton import NewtonSolver
 from cei_gym.alignment.solvers.solver import Solver
+from cei_gym.arrays import Array
 
 
 def retime(
     problem: AlignmentProblem, solver: Solver, options: SolverOptions, motion: Motion, stretch: float
-) -> tuple[np.ndarray, Track | None]:
+) -> tuple[Array, Track | None]:
     """Which frame of the source each frame of the target shows.
 
     A hand that is still on its way when the source's closes misses what the source grasped, so the source waits: a frame in

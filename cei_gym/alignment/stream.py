@@ -1,11 +1,10 @@
 """The alignment for live control: one source frame in, one target configuration out."""
 
-import numpy as np
-
 from cei_gym.alignment.options import SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem
 from cei_gym.alignment.solvers.make import make_second_order_solver
 from cei_gym.alignment.start.starts import InitialisationOptions, find_basins
+from cei_gym.arrays import Array
 
 
 class Stream:
@@ -24,18 +23,18 @@ class Stream:
         problem: AlignmentProblem,
         options: SolverOptions,
         init: InitialisationOptions | None = None,
-        u0: np.ndarray | None = None,
+        u0: Array | None = None,
         dt_s: float | None = None,
     ) -> None:
         self._problem, self._options, self._init = problem, options, init or InitialisationOptions()
         self._u0, self._dt_s = u0, dt_s
         self._solver = make_second_order_solver(problem, options)
-        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._last: tuple[Array, Array] | None = None
         home = problem.embodiment.coupled.reduce(problem.embodiment.home)
         points, normals = problem.place(home)
         self._solver.advance(points, normals, home, home, dt_s)  # compiles
 
-    def __call__(self, points_base: np.ndarray, normals_base: np.ndarray) -> np.ndarray:
+    def __call__(self, points_base: Array, normals_base: Array) -> Array:
         """One frame.
 
         Args:
@@ -56,7 +55,7 @@ class Stream:
             self._last = u, last
         return u.copy()
 
-    def resume_from(self, u: np.ndarray) -> None:
+    def resume_from(self, u: Array) -> None:
         """Forget the past, but for where the joints are: (m,) rad or m. The next frame is followed from there."""
         self._last = u, u
 

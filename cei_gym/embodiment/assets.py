@@ -10,6 +10,7 @@ from zlib import crc32
 import mujoco
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.mesh_files import MAX_BYTES, MeshFile, read_mesh
 from cei_gym.embodiment.resources import Place, read_file
 from cei_gym.errors import CEIError, one_line
@@ -41,11 +42,11 @@ class Assets:
 
     place: Place
     plain: bool = True
-    contents: dict[str, bytes] = field(default_factory=dict)
-    meshes: dict[str, MeshFile] = field(default_factory=dict)
-    names: dict[str, str] = field(default_factory=dict)
-    _known: dict[tuple[Path, str], str] = field(default_factory=dict)
-    _sizes: dict[Path, int] = field(default_factory=dict)
+    contents: dict[str, bytes] = field(default_factory=dict[str, bytes])
+    meshes: dict[str, MeshFile] = field(default_factory=dict[str, MeshFile])
+    names: dict[str, str] = field(default_factory=dict[str, str])
+    _known: dict[tuple[Path, str], str] = field(default_factory=dict[tuple[Path, str], str])
+    _sizes: dict[Path, int] = field(default_factory=dict[Path, int])
     _texels: int = 0
 
     def mesh(self, path: Path, name: str, variant: str = "") -> str:
@@ -143,7 +144,7 @@ class Assets:
                 notes.append(f"geom {geom.name!r} is flat; it is seen, and touches nothing.")
         return notes
 
-    def _check_size(self, key: str, extents: np.ndarray, scale: np.ndarray) -> None:
+    def _check_size(self, key: str, extents: Array, scale: Array) -> None:
         size_m, unscaled_m = float(np.max(extents * np.abs(scale))), float(extents.max())
         if size_m > _LARGEST_M:
             wanted = " ".join(f"{s / 1000:g}" for s in scale)
@@ -207,12 +208,12 @@ def check_compiled(spec: mujoco.MjSpec, model: mujoco.MjModel, assets: list[Asse
             )
 
 
-def _is_flat(vertices: np.ndarray) -> bool:
+def _is_flat(vertices: Array) -> bool:
     deviations = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(vertices.T)), 0))
     return len(vertices) > 3 and deviations[0] < _FLAT * deviations[2]
 
 
-def _rotated(points: np.ndarray, quat_wxyz: np.ndarray) -> np.ndarray:
+def _rotated(points: Array, quat_wxyz: Array) -> Array:
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, quat_wxyz / np.linalg.norm(quat_wxyz))
     return points @ matrix.reshape(3, 3).T

@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.assets import MeshDiffersError
 from cei_gym.embodiment.compiling import check_loops, compile_spec
 from cei_gym.embodiment.coupled import Coupled, couple
@@ -163,11 +164,11 @@ def _with_poses_in_limits(embodiment: Embodiment, given: list[dict[str, float]])
 
 def _max_velocity(
     names: list[str],
-    hinge: np.ndarray,
+    hinge: Array,
     arm: ArmSpec | None,
     end_effector: EndEffectorSpec | None,
     declared: dict[str, float],
-) -> np.ndarray:
+) -> Array:
     speeds = dict(declared)
     for part, prefix in ((arm, ""), (end_effector, END_EFFECTOR_PREFIX)):
         if part is None:
@@ -181,7 +182,7 @@ def _max_velocity(
     return np.array([speeds.get(n, d) for n, d in zip(names, default, strict=True)])
 
 
-def _pose(name: str, public: list[str], coupled: Coupled, values: dict[str, float]) -> np.ndarray:
+def _pose(name: str, public: list[str], coupled: Coupled, values: dict[str, float]) -> Array:
     qpos = np.zeros(len(public))
     independent = [public[q] for q in coupled.independent]
     for joint, value in values.items():

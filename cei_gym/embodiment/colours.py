@@ -3,10 +3,12 @@
 import mujoco
 import numpy as np
 
+from cei_gym.arrays import Array
+
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 
 
-def geom_colours(model: mujoco.MjModel) -> np.ndarray:
+def geom_colours(model: mujoco.MjModel) -> Array:
     """(ngeom, 4) RGBA in [0, 1]: a geom's own colour, else its material's, times its texture's mean.
 
     MuJoCo's rule: a geom shows its material, if it has one, unless its own colour is not the default grey.

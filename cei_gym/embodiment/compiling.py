@@ -6,6 +6,7 @@ from collections.abc import Iterable
 import mujoco
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.assets import Assets, check_compiled
 from cei_gym.errors import CEIError, one_line
 
@@ -125,7 +126,7 @@ def _check_sizes(name: str, model: mujoco.MjModel) -> None:
         raise CEIError(f"{name}: link {shown!r} is {away_m:.3g} m from the one before; are its origins in millimetres?")
 
 
-def check_loops(name: str, model: mujoco.MjModel, poses: dict[str, np.ndarray]) -> None:
+def check_loops(name: str, model: mujoco.MjModel, poses: dict[str, Array]) -> None:
     """Check that loops of links, which connect and weld equalities close, stay closed as couplings move the joints.
 
     Args:

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.names import public_name
 from cei_gym.embodiment.spec import Coupling
 from cei_gym.errors import CEIError, unknown
@@ -20,23 +21,23 @@ class Coupled:
         independent: (m,) index into q of each independent joint (there, scale 1 and offset 0).
     """
 
-    leader: np.ndarray
-    scale: np.ndarray
-    offset: np.ndarray
-    independent: np.ndarray
+    leader: Array
+    scale: Array
+    offset: Array
+    independent: Array
 
     @cached_property
-    def A(self) -> np.ndarray:
+    def A(self) -> Array:
         """(n, m) coupling matrix."""
         matrix = np.zeros((len(self.leader), len(self.independent)))
         matrix[np.arange(len(self.leader)), self.leader] = self.scale
         return matrix
 
-    def expand(self, u: np.ndarray) -> np.ndarray:
+    def expand(self, u: Array) -> Array:
         """(..., m) independent joints to (..., n) joint positions."""
         return u[..., self.leader] * self.scale + self.offset
 
-    def reduce(self, qpos: np.ndarray) -> np.ndarray:
+    def reduce(self, qpos: Array) -> Array:
         """(..., n) joint positions to (..., m) independent joints (followers are ignored)."""
         return qpos[..., self.independent]
 

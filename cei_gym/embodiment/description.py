@@ -33,9 +33,9 @@ class Description:
 
     spec: mujoco.MjSpec
     assets: Assets
-    mimics: dict[str, Coupling] = field(default_factory=dict)
-    max_velocity: dict[str, float] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    mimics: dict[str, Coupling] = field(default_factory=dict[str, Coupling])
+    max_velocity: dict[str, float] = field(default_factory=dict[str, float])
+    notes: list[str] = field(default_factory=list[str])
 
 
 def load_description(place: Place, plain: bool = True) -> Description:

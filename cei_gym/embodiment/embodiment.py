@@ -6,6 +6,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.coupled import Coupled
 from cei_gym.embodiment.names import END_EFFECTOR_PREFIX, public_name
 from cei_gym.embodiment.spec import ArmSpec, EndEffectorSpec
@@ -37,12 +38,12 @@ class Embodiment:
     joint_names: tuple[str, ...]
     joint_units: tuple[str, ...]
     n_arm: int
-    lower: np.ndarray
-    upper: np.ndarray
-    max_velocity: np.ndarray
+    lower: Array
+    upper: Array
+    max_velocity: Array
     coupled: Coupled
-    home: np.ndarray
-    closed: np.ndarray
+    home: Array
+    closed: Array
     notes: tuple[str, ...] = ()
 
     @property
@@ -51,7 +52,7 @@ class Embodiment:
         return tuple(self.model.body(i).name for i in range(self.model.nbody))
 
     @cached_property
-    def of_end_effector(self) -> np.ndarray:
+    def of_end_effector(self) -> Array:
         """(B,) bool, which of the model's bodies are the end-effector's; the first of them carries the others."""
         return np.array([name.startswith(END_EFFECTOR_PREFIX) for name in self.body_names], bool)
 
@@ -82,7 +83,7 @@ class Embodiment:
         return tuple((int(model.actuator_trnid[a, 0]), *told) for a, told in zip(on_joint, ranges, strict=True))
 
     @cached_property
-    def independent_limits(self) -> tuple[np.ndarray, np.ndarray]:
+    def independent_limits(self) -> tuple[Array, Array]:
         """(m,) bounds of the independent joints such that every joint, followers included, is within its limits."""
         lower = np.full(len(self.coupled.independent), -np.inf)
         upper = -lower
@@ -96,7 +97,7 @@ class Embodiment:
         return lower, upper
 
     @cached_property
-    def independent_max_velocity(self) -> np.ndarray:
+    def independent_max_velocity(self) -> Array:
         """(m,) largest speeds of the independent joints, rad/s or m/s, such that followers too keep within theirs."""
         moves = self.coupled.scale != 0
         fastest = np.full(len(self.coupled.independent), np.inf)

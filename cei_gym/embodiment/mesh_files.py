@@ -17,6 +17,7 @@ import numpy as np
 import trimesh
 from trimesh.resolvers import Resolver
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json
 from cei_gym.untrusted_xml import load_xml
@@ -43,7 +44,7 @@ class MeshFile:
 
     content: bytes
     suffix: str
-    vertices: np.ndarray
+    vertices: Array
     triangles: int
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.colours import geom_colours
 from cei_gym.errors import CEIError
 
@@ -45,7 +46,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
     return mesh.apply_transform(T)
 
 
-def geom_vertices(model: mujoco.MjModel, geom: int) -> np.ndarray:
+def geom_vertices(model: mujoco.MjModel, geom: int) -> Array:
     """(V, 3) vertices of `geom_mesh`; of a mesh as they are compiled, which takes a tenth of the time."""
     if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
         return np.asarray(geom_mesh(model, geom).vertices)
@@ -65,7 +66,7 @@ def link_mesh(model: mujoco.MjModel, geoms: Iterable[int]) -> trimesh.Trimesh | 
     return cast(trimesh.Trimesh, trimesh.util.concatenate(meshes)) if meshes else None
 
 
-def visual_geoms(model: mujoco.MjModel) -> np.ndarray:
+def visual_geoms(model: mujoco.MjModel) -> Array:
     """(ngeom,) bool: what a camera sees, a body's visual geoms, or its collision geoms where it has none."""
     visual = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
     has_visual = np.bincount(model.geom_bodyid, visual, model.nbody) > 0
@@ -78,7 +79,7 @@ def visual_link_meshes(model: mujoco.MjModel) -> list[trimesh.Trimesh | None]:
     return [link_mesh(model, np.flatnonzero(seen & (model.geom_bodyid == body))) for body in range(model.nbody)]
 
 
-def collision_geoms(model: mujoco.MjModel, body: int) -> np.ndarray:
+def collision_geoms(model: mujoco.MjModel, body: int) -> Array:
     """Indices of a body's geoms that can touch something."""
     geoms = np.flatnonzero(model.geom_bodyid == body)
     return geoms[(model.geom_contype[geoms] != 0) | (model.geom_conaffinity[geoms] != 0)]
@@ -90,14 +91,14 @@ def _compiled_mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
     return trimesh.Trimesh(model.mesh_vert[vertices].astype(float), model.mesh_face[faces], process=True)
 
 
-def outermost(vertices: np.ndarray) -> np.ndarray:
+def outermost(vertices: Array) -> Array:
     """The vertices (V, 3) that lie farthest out in evenly spread directions: enough to tell which touches a plane."""
     heights = spread_directions(_OUTERMOST) @ vertices.T  # with vertices last, as numpy searches rows six times as fast
     return vertices[np.unique(heights.argmax(axis=1))]
 
 
 @cache
-def spread_directions(n: int) -> np.ndarray:
+def spread_directions(n: int) -> Array:
     """(n, 3) unit vectors evenly spread over the sphere (a golden spiral)."""
     i = np.arange(n) + 0.5
     polar, turn = np.arccos(1 - 2 * i / n), np.pi * (1 + 5**0.5) * i

@@ -1,6 +1,6 @@
 """The small typed YAML of an arm and of an end-effector."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from math import inf, isfinite
 from pathlib import Path
@@ -22,9 +22,10 @@ class _Checked:
                     raise CEIError(f"`{each.name}` has {value} where a value should be.")
 
 
-def _leaves(value: object) -> Iterator[object]:
+def _leaves(value: Any) -> Iterator[Any]:
     if isinstance(value, (list, tuple, Mapping)):
-        for item in value.values() if isinstance(value, Mapping) else value:
+        items: Iterable[Any] = value.values() if isinstance(value, Mapping) else value
+        for item in items:
             yield from _leaves(item)
     else:
         yield value
@@ -86,7 +87,7 @@ class Pad(_Checked):
     """
 
     body: str
-    geoms: list[str] = field(default_factory=list)
+    geoms: list[str] = field(default_factory=list[str])
     share: float = 1.0
     extent: list[float] = field(default_factory=lambda: [0.0, 1.0])
     palmar: list[float] | str = "auto"  # in this order: anything can be read as a str
@@ -110,7 +111,7 @@ class PhysicsException(_Checked):
     reason: str
     enabled: bool = True
     required: bool = False
-    parameters: dict[str, Any] = field(default_factory=dict)
+    parameters: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
 @dataclass(frozen=True)
@@ -139,15 +140,15 @@ class ArmSpec(_Part):
     description: str
     mount_body: str
     home: dict[str, float]
-    max_velocity: dict[str, float] = field(default_factory=dict)
+    max_velocity: dict[str, float] = field(default_factory=dict[str, float])
     root_body: str = ""
-    joints: list[str] = field(default_factory=list)
-    inertia_groups: list[int] = field(default_factory=list)
+    joints: list[str] = field(default_factory=list[str])
+    inertia_groups: list[int] = field(default_factory=list[int])
     simulator_name: str = ""
-    physics: list[PhysicsException] = field(default_factory=list)
+    physics: list[PhysicsException] = field(default_factory=list[PhysicsException])
     angle: str = ""
-    couplings: dict[str, Coupling] = field(default_factory=dict)
-    package_path: list[str] = field(default_factory=list)
+    couplings: dict[str, Coupling] = field(default_factory=dict[str, Coupling])
+    package_path: list[str] = field(default_factory=list[str])
     folder: str = ""
 
 
@@ -176,19 +177,19 @@ class EndEffectorSpec(_Part):
     name: str
     description: str
     pads: list[Pad]
-    home: dict[str, float] = field(default_factory=dict)
-    closed: dict[str, float] = field(default_factory=dict)
-    max_velocity: dict[str, float] = field(default_factory=dict)
+    home: dict[str, float] = field(default_factory=dict[str, float])
+    closed: dict[str, float] = field(default_factory=dict[str, float])
+    max_velocity: dict[str, float] = field(default_factory=dict[str, float])
     compliance: float = 1.0
     root_body: str = ""
     angle: str = ""
-    inertia_groups: list[int] = field(default_factory=list)
-    mount_pos_m: list[float] = field(default_factory=list)
-    mount_quat_wxyz: list[float] = field(default_factory=list)
-    couplings: dict[str, Coupling] = field(default_factory=dict)
+    inertia_groups: list[int] = field(default_factory=list[int])
+    mount_pos_m: list[float] = field(default_factory=list[float])
+    mount_quat_wxyz: list[float] = field(default_factory=list[float])
+    couplings: dict[str, Coupling] = field(default_factory=dict[str, Coupling])
     simulator_name: str = ""
-    physics: list[PhysicsException] = field(default_factory=list)
-    package_path: list[str] = field(default_factory=list)
+    physics: list[PhysicsException] = field(default_factory=list[PhysicsException])
+    package_path: list[str] = field(default_factory=list[str])
     folder: str = ""
 
     def __post_init__(self) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import trimesh
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.spec import Pad
@@ -13,7 +14,7 @@ _GAP_M = 1e-4
 _SAME_LENGTH = 0.95
 
 
-def palmar_directions(embodiment: Embodiment, tree: KinematicTree, pad: Pad, points_link: np.ndarray) -> np.ndarray:
+def palmar_directions(embodiment: Embodiment, tree: KinematicTree, pad: Pad, points_link: Array) -> Array:
     """Unit directions that points of a pad's link move in when the end-effector closes: the palmar side leads.
 
     Args:
@@ -41,7 +42,7 @@ def palmar_directions(embodiment: Embodiment, tree: KinematicTree, pad: Pad, poi
     return velocity / np.maximum(np.linalg.norm(velocity, axis=1, keepdims=True), 1e-12)
 
 
-def extent_mask(mesh: trimesh.Trimesh, extent: list[float], points_link: np.ndarray) -> np.ndarray:
+def extent_mask(mesh: trimesh.Trimesh, extent: list[float], points_link: Array) -> Array:
     """Which points lie in a part of a link's length, measured along its longest principal axis to the tip, its end farther from the
     joint.
 
@@ -68,7 +69,7 @@ def within_extent(mesh: trimesh.Trimesh, extent: list[float]) -> trimesh.Trimesh
     return trimesh.Trimesh(vertices, faces)
 
 
-def _extent_bounds_m(mesh: trimesh.Trimesh, extent: list[float]) -> tuple[np.ndarray, float, float] | None:
+def _extent_bounds_m(mesh: trimesh.Trimesh, extent: list[float]) -> tuple[Array, float, float] | None:
     """The axis (3,) that a link's length is measured along, and where on it an extent starts and ends, m; None for all of it.
 
     Raises:
@@ -92,7 +93,7 @@ def _extent_bounds_m(mesh: trimesh.Trimesh, extent: list[float]) -> tuple[np.nda
     return axis, float(start_m), float(end_m)
 
 
-def outer_mask(mesh: trimesh.Trimesh, points_link: np.ndarray, normals_link: np.ndarray) -> np.ndarray:
+def outer_mask(mesh: trimesh.Trimesh, points_link: Array, normals_link: Array) -> Array:
     """Which points lie on the outside of a link: nothing of the link is above them, along their normals.
 
     Finger meshes are hollow, and the inside of a finger's back has a palmar normal too.

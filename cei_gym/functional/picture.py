@@ -4,6 +4,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.spatial.transform import Rotation
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.embodiment import Embodiment
 from cei_gym.functional.representation import FunctionalRepresentation
@@ -17,7 +18,7 @@ _HIDDEN_M = 0.004
 _COLOURS = [(230, 60, 50), (40, 120, 230), (30, 160, 80), (240, 150, 30), (150, 70, 200)]
 
 
-def draw_representation(representation: FunctionalRepresentation, qpos: np.ndarray) -> np.ndarray:
+def draw_representation(representation: FunctionalRepresentation, qpos: Array) -> Array:
     """Views of the end-effector from three sides, pads' points as dots and normals as lines, one colour a pad.
 
     Args:
@@ -38,7 +39,7 @@ def draw_representation(representation: FunctionalRepresentation, qpos: np.ndarr
     return np.concatenate(views, axis=1)
 
 
-def _view(embodiment: Embodiment, links: np.ndarray, points: np.ndarray, turn_deg: float) -> Camera:
+def _view(embodiment: Embodiment, links: Array, points: Array, turn_deg: float) -> Camera:
     """A camera that circles the axis from the palm to the pads."""
     palm, pads = links[embodiment.end_effector_root], points.mean(axis=0)
     axis = (pads - palm) / np.linalg.norm(pads - palm)
@@ -50,7 +51,7 @@ def _view(embodiment: Embodiment, links: np.ndarray, points: np.ndarray, turn_de
     return look_at("view", eye, middle, _SUPERSAMPLE * WIDTH, _SUPERSAMPLE * HEIGHT, 38.0, up=-axis)
 
 
-def _draw(picture, depth, representation, points, normals, camera: Camera) -> np.ndarray:
+def _draw(picture, depth, representation, points, normals, camera: Camera) -> Array:
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
     bodies = np.unique(representation.body)
@@ -69,7 +70,7 @@ def _draw(picture, depth, representation, points, normals, camera: Camera) -> np
     return np.asarray(image.resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS))
 
 
-def _project(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def _project(points: Array, camera: Camera) -> tuple[Array, Array]:
     """Pixels (N, 2) and depths (N,) of points (N, 3)."""
     R, p = camera.T_world_camera[:3, :3], camera.T_world_camera[:3, 3]
     inside = (points - p) @ R @ camera.K.T

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.meshes import collision_geoms, link_mesh
 from cei_gym.embodiment.spec import Pad
@@ -31,14 +32,14 @@ class FunctionalRepresentation:
     """
 
     embodiment: Embodiment
-    body: np.ndarray
-    points_link: np.ndarray
-    normals_link: np.ndarray
+    body: Array
+    points_link: Array
+    normals_link: Array
 
     def __len__(self) -> int:
         return len(self.body)
 
-    def place(self, T_links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def place(self, T_links: Array) -> tuple[Array, Array]:
         """Pairs in the frame in which the links are posed.
 
         Args:
@@ -113,7 +114,7 @@ def pad_mesh(embodiment: Embodiment, pad: Pad) -> trimesh.Trimesh:
 
 def _sample_variant(
     embodiment: Embodiment, tree: KinematicTree, pad: Pad, count: int, rng: np.random.Generator, variant: str
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     points, normals = _sample_pad(embodiment, tree, pad, 4 * count if variant == "reduced" else count, rng)
     kept = np.arange(len(points))
     if variant == "reduced":

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.embodiment import Embodiment
 
 _STARTS = 8
@@ -22,17 +23,17 @@ class Followed(NamedTuple):
         position_m, angle_rad: (T,) how far off the link is.
     """
 
-    qpos: np.ndarray
-    position_m: np.ndarray
-    angle_rad: np.ndarray
+    qpos: Array
+    position_m: Array
+    angle_rad: Array
 
     @property
-    def error(self) -> np.ndarray:
+    def error(self) -> Array:
         """(T,) both in one, m and rad."""
         return np.hypot(self.position_m, self.angle_rad)
 
 
-def follow_link(embodiment: Embodiment, link: int, T_base_link: np.ndarray) -> Followed:
+def follow_link(embodiment: Embodiment, link: int, T_base_link: Array) -> Followed:
     """Follow a trajectory with a link that the arm carries, from the start that does it best.
 
     Frame 0 starts from the home pose, or from one around it where the trajectory cannot be followed from there; the others each from
@@ -54,7 +55,7 @@ def follow_link(embodiment: Embodiment, link: int, T_base_link: np.ndarray) -> F
     return min(found, key=lambda followed: followed.error.mean())
 
 
-def _follow_from(embodiment: Embodiment, start: np.ndarray, link: int, T_base_link: np.ndarray) -> Followed:
+def _follow_from(embodiment: Embodiment, start: Array, link: int, T_base_link: Array) -> Followed:
     import mink  # takes half a second to import
 
     model = copy(embodiment.model)  # with the embodiment's limits, which may be tighter than the description's

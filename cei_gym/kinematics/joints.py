@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.kinematics.tree import TreeArrays
 
 
@@ -18,12 +19,12 @@ class JointTree(NamedTuple):
         reference: (n,) position of each joint at which it is unmoved, rad or m.
     """
 
-    parent: np.ndarray
-    rot: np.ndarray
-    pos: np.ndarray
-    axis: np.ndarray
-    hinge: np.ndarray
-    reference: np.ndarray
+    parent: Array
+    rot: Array
+    pos: Array
+    axis: Array
+    hinge: Array
+    reference: Array
 
 
 class Attachment(NamedTuple):
@@ -34,9 +35,9 @@ class Attachment(NamedTuple):
         rot, pos: (L, 3, 3), (L, 3) pose of the body in that frame.
     """
 
-    joint: np.ndarray
-    rot: np.ndarray
-    pos: np.ndarray
+    joint: Array
+    rot: Array
+    pos: Array
 
 
 def reduce_to_joints(tree: TreeArrays) -> tuple[JointTree, Attachment]:

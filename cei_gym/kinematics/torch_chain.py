@@ -14,6 +14,7 @@ with extras.needed_by("TorchChain (the solver 'paper')"):
     from pytorch_kinematics.frame import Frame, Joint, Link
     from pytorch_kinematics.transforms import Transform3d
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.kinematics.tree import KinematicTree
 
@@ -51,7 +52,7 @@ class TorchChain:
         self._names = [f.name for f in frames]
         self._frames = self.chain.get_frame_indices(*self._names)
 
-    def _transform(self, rot: np.ndarray, pos: np.ndarray) -> Transform3d:
+    def _transform(self, rot: Array, pos: Array) -> Transform3d:
         return Transform3d(
             rot=torch.tensor(rot, dtype=self.dtype, device=self.device),
             pos=torch.tensor(pos, dtype=self.dtype, device=self.device),

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 from cei_gym.embodiment.embodiment import Embodiment
 
@@ -24,16 +25,16 @@ class TreeArrays(NamedTuple):
         reference: (n,) position at which the model was drawn (`ref`).
     """
 
-    parent: np.ndarray
-    pos: np.ndarray
-    rot: np.ndarray
-    joint_start: np.ndarray
-    joint_parent: np.ndarray
-    body_joint: np.ndarray
-    hinge: np.ndarray
-    axis: np.ndarray
-    anchor: np.ndarray
-    reference: np.ndarray
+    parent: Array
+    pos: Array
+    rot: Array
+    joint_start: Array
+    joint_parent: Array
+    body_joint: Array
+    hinge: Array
+    axis: Array
+    anchor: Array
+    reference: Array
 
 
 @njit(cache=True, nogil=True)
@@ -123,7 +124,7 @@ class KinematicTree:
         self.embodiment = embodiment
         self.arrays = _arrays(embodiment.model)
 
-    def forward(self, qpos: np.ndarray) -> np.ndarray:
+    def forward(self, qpos: Array) -> Array:
         """Poses of all links.
 
         Args:
@@ -137,7 +138,7 @@ class KinematicTree:
         T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rot, pos, 1.0
         return T.reshape(*np.shape(qpos)[:-1], *T.shape[1:])
 
-    def jacobian(self, qpos: np.ndarray, body: int, point_link: np.ndarray) -> np.ndarray:
+    def jacobian(self, qpos: Array, body: int, point_link: Array) -> Array:
         """Geometric Jacobian of a point fixed to a link.
 
         Args:
@@ -153,7 +154,7 @@ class KinematicTree:
         J = _jacobian_batch(self.arrays, axis, anchor, body, points)
         return J.reshape(*np.shape(qpos)[:-1], *J.shape[1:])
 
-    def moving(self, bodies: np.ndarray) -> np.ndarray:
+    def moving(self, bodies: Array) -> Array:
         """(n,) which joints move any of some links, given by their indices."""
         moves = np.zeros(len(self.arrays.hinge), bool)
         for joint in self.arrays.body_joint[np.unique(bodies)]:
@@ -162,7 +163,7 @@ class KinematicTree:
                 joint = self.arrays.joint_parent[joint]
         return moves
 
-    def _screws(self, qpos: np.ndarray):
+    def _screws(self, qpos: Array):
         n = len(self.arrays.hinge)
         if np.shape(qpos)[-1] != n:
             raise ValueError(f"{self.embodiment.name} has {n} joints; qpos has shape {np.shape(qpos)}")

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.kinematics import KinematicTree
@@ -55,7 +56,7 @@ class Agreement:
     share: float
     share_there: float
     offset_m: float
-    T_world_base: np.ndarray
+    T_world_base: Array
 
     @property
     def known(self) -> bool:
@@ -75,7 +76,7 @@ class Agreement:
 
 
 def cloud_agreement(
-    embodiment: Embodiment, clouds_world: Sequence[np.ndarray], qpos: np.ndarray, T_world_base: np.ndarray
+    embodiment: Embodiment, clouds_world: Sequence[Array], qpos: Array, T_world_base: Array
 ) -> Agreement:
     """Compare recorded clouds with where the robot should be.
 
@@ -106,7 +107,7 @@ def cloud_agreement(
     return Agreement(count, share, found.share(best), offset_m, best @ T_world_base)
 
 
-def _moving(clouds: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _moving(clouds: Sequence[Array]) -> list[Array]:
     """Find the points of each cloud that most of the others lack."""
     trees = [KDTree(cloud) if len(cloud) > 1 else None for cloud in clouds]
     moving = []
@@ -121,14 +122,14 @@ def _moving(clouds: Sequence[np.ndarray]) -> list[np.ndarray]:
     return moving
 
 
-def _links_that_move(T_links: np.ndarray) -> np.ndarray:
+def _links_that_move(T_links: Array) -> Array:
     """(L,) whether links of poses (T, L, 4, 4) are here and there; all where none is. What stands still is not what moves."""
     far_m = np.ptp(T_links[:, :, :3, 3], axis=0).max(axis=1)
     moves = far_m > ON_SURFACE_M
     return moves if moves.any() else np.ones(len(moves), bool)
 
 
-def _starts(robot: np.ndarray, cloud: np.ndarray) -> list[np.ndarray]:
+def _starts(robot: Array, cloud: Array) -> list[Array]:
     """Motions (4, 4) of the robot that bring its middle (3,) to about the cloud's (3,), turned about the vertical."""
     starts = []
     for yaw, *around in product(np.arange(_YAWS) * 2 * np.pi / _YAWS, *[_AROUND_M] * 3):
@@ -143,11 +144,11 @@ def _starts(robot: np.ndarray, cloud: np.ndarray) -> list[np.ndarray]:
 class _Found:
     """Points that move, T times (M, 3), and trees of the robot's surface in the same frames."""
 
-    points: Sequence[np.ndarray]
+    points: Sequence[Array]
     robots: Sequence[KDTree]
 
     @property
-    def middle(self) -> np.ndarray:
+    def middle(self) -> Array:
         """(3,) of all points."""
         return np.concatenate(self.points).mean(axis=0)
 
@@ -156,17 +157,17 @@ class _Found:
         step = -(-sum(map(len, self.points)) // count)
         return _Found([points[::step] for points in self.points], self.robots)
 
-    def share(self, T: np.ndarray) -> float:
+    def share(self, T: Array) -> float:
         """Count the points that are on the robot moved by T (4, 4)."""
         distance_m, _, _ = self._pairs(T)
         return float((distance_m < ON_SURFACE_M).mean())
 
-    def cost(self, T: np.ndarray) -> float:
+    def cost(self, T: Array) -> float:
         """Mean distance of the nearest points to the robot moved by T, m: what `refine` lowers."""
         distance_m, _, _ = self._pairs(T)
         return float(np.sort(distance_m)[: int(_TRIMMED * len(distance_m)) + 1].mean())
 
-    def refine(self, T: np.ndarray, rounds: int, upright: bool = False) -> np.ndarray:
+    def refine(self, T: Array, rounds: int, upright: bool = False) -> Array:
         """The motion near T that brings the robot to the points: iterated closest points, the farthest left out.
 
         Args:
@@ -192,7 +193,7 @@ class _Found:
             T[:3, 3] = points.mean(axis=0) - T[:3, :3] @ robot.mean(axis=0)
         return T
 
-    def _pairs(self, T: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _pairs(self, T: Array) -> tuple[Array, Array, Array]:
         """(M,) distances, and the pairs (M, 3): points of the robot, unmoved, and the points that are nearest to them when moved."""
         distance_m, robot = [], []
         for points, tree in zip(self.points, self.robots, strict=True):

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import KDTree
 
+from cei_gym.arrays import Array
 from cei_gym.pointcloud.thin import first_of_voxels
 
 _KEYFRAMES = 8
@@ -15,9 +16,7 @@ _VOXEL_M = 0.005
 _FEWEST = 10  # points: fewer are noise that met itself
 
 
-def attached(
-    scenes: Sequence[np.ndarray], T_hand: np.ndarray, centre: np.ndarray, free: np.ndarray, radius_m: float
-) -> list[np.ndarray]:
+def attached(scenes: Sequence[Array], T_hand: Array, centre: Array, free: Array, radius_m: float) -> list[Array]:
     """Which points go with the hand although it holds nothing.
 
     A point of a keyframe does if in three quarters of the other keyframes whose hand is elsewhere there is a point at the same place of
@@ -59,16 +58,16 @@ def attached(
     return [_has(tree, _into(T, points)) for T, points in zip(T_hand, scenes, strict=True)]
 
 
-def _tree(cloud: np.ndarray) -> KDTree | None:
+def _tree(cloud: Array) -> KDTree | None:
     return KDTree(cloud) if len(cloud) else None
 
 
-def _into(T: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _into(T: Array, points: Array) -> Array:
     """(P, 3) points in the frame whose (4, 4) pose is given."""
     return (points - T[:3, 3]) @ T[:3, :3]
 
 
-def _has(cloud: KDTree | None, points: np.ndarray) -> np.ndarray:
+def _has(cloud: KDTree | None, points: Array) -> Array:
     """(P,) whether a cloud has a point where each of (P, 3) is; None has none."""
     if cloud is None or not len(points):
         return np.zeros(len(points), dtype=bool)

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 from cei_gym.errors import CEIError
 
 
-def crop(points_world: np.ndarray, workspace_world: np.ndarray) -> np.ndarray:
+def crop(points_world: Array, workspace_world: Array) -> Array:
     """Which points lie in a box, its faces included; points with an entry that is not finite do not.
 
     Args:

@@ -4,14 +4,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
 from cei_gym.errors import CEIError
 from cei_gym.rendering import unproject
 
 
-def fuse_depth(
-    scene: Scene, depth_m: Mapping[str, np.ndarray], rgb: Mapping[str, np.ndarray] | None = None
-) -> np.ndarray:
+def fuse_depth(scene: Scene, depth_m: Mapping[str, Array], rgb: Mapping[str, Array] | None = None) -> Array:
     """Points that the scene's cameras see.
 
     Args:
@@ -37,11 +36,11 @@ def fuse_depth(
 
 def frame_points(
     scene: Scene,
-    depth_m: Mapping[str, np.ndarray],
-    rgb: Mapping[str, np.ndarray],
-    cloud_world: np.ndarray | None,
+    depth_m: Mapping[str, Array],
+    rgb: Mapping[str, Array],
+    cloud_world: Array | None,
     colours: bool,
-) -> np.ndarray | None:
+) -> Array | None:
     """All that is known of a frame's surfaces, from images or from a cloud.
 
     Images come first, since clouds are thinned when recorded; but not where colours are wanted and only the cloud has them.
@@ -61,7 +60,7 @@ def frame_points(
     return fuse_depth(scene, depth_m, pictures)
 
 
-def _colours(camera: str, depth_m: Mapping[str, np.ndarray], rgb: Mapping[str, np.ndarray]) -> np.ndarray:
+def _colours(camera: str, depth_m: Mapping[str, Array], rgb: Mapping[str, Array]) -> Array:
     """(N, 3) in [0, 1], a row for each pixel with a depth."""
     depth, picture = depth_m[camera], rgb.get(camera)
     shape = None if picture is None else picture.shape

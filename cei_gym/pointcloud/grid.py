@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 from cei_gym.pointcloud.distance import square_distance
 
@@ -24,16 +25,16 @@ class TriangleGrid(NamedTuple):
         entry: (entries,) int32 triangles that pass through a cell, cell after cell.
     """
 
-    triangles: np.ndarray
+    triangles: Array
     cell_m: float
-    origin: np.ndarray
-    count: np.ndarray
-    first_cell: np.ndarray
-    start: np.ndarray
-    entry: np.ndarray
+    origin: Array
+    count: Array
+    first_cell: Array
+    start: Array
+    entry: Array
 
 
-def build(triangles_of_links: Sequence[np.ndarray], reach_m: float) -> TriangleGrid:
+def build(triangles_of_links: Sequence[Array], reach_m: float) -> TriangleGrid:
     """Sorts triangles so that points up to `reach_m` away from them fall into the grid.
 
     Args:

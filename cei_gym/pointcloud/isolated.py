@@ -3,8 +3,10 @@
 import numpy as np
 from scipy.spatial import KDTree
 
+from cei_gym.arrays import Array
 
-def isolated(points: np.ndarray, radius_m: float, neighbours: int = 3) -> np.ndarray:
+
+def isolated(points: Array, radius_m: float, neighbours: int = 3) -> Array:
     """Which points have fewer than so many others within a radius.
 
     Args:

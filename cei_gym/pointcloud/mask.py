@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 from cei_gym.pointcloud.grid import build, mark_near
 
@@ -32,7 +33,7 @@ class RobotMask:
         self._links = len(link_meshes)
         self._grid = build([np.empty((0, 3, 3)) if mesh is None else mesh.triangles for mesh in link_meshes], tau_m)
 
-    def __call__(self, points_world: np.ndarray, T_world_links: np.ndarray) -> np.ndarray:
+    def __call__(self, points_world: Array, T_world_links: Array) -> Array:
         """Which points are on the robot.
 
         Args:

@@ -5,13 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import KDTree
 
+from cei_gym.arrays import Array
 from cei_gym.pointcloud.thin import first_of_voxels
 
 _VOXEL_M = 0.008
 _SAME_M = 0.012  # a remembered point this near to one that is seen is that point
 
 
-def remember(scenes: Sequence[np.ndarray], centre: np.ndarray, moved: np.ndarray, radius_m: float) -> list[np.ndarray]:
+def remember(scenes: Sequence[Array], centre: Array, moved: Array, radius_m: float) -> list[Array]:
     """For each frame the points near a hand, with those that it hides where they were seen last.
 
     A point that vanishes near the hand is taken to be hidden, not gone, unless the hand moves something.

@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 from trimesh.visual import ColorVisuals
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 from cei_gym.errors import CEIError
 
@@ -46,7 +47,7 @@ class SurfaceSampler:
         colours = np.concatenate([cast(ColorVisuals, mesh.visual).face_colors[:, :3] for mesh in meshes.values()])
         self.colours = colours[face] / 255
 
-    def __call__(self, T_world_links: np.ndarray) -> np.ndarray:
+    def __call__(self, T_world_links: Array) -> Array:
         """(n, 3) float64 points in the world, metres, for poses (L, 4, 4) of the links.
 
         Raises:
@@ -54,7 +55,7 @@ class SurfaceSampler:
         """
         return self.within(T_world_links, np.array([[-np.inf] * 3, [np.inf] * 3]), len(self.points_link))[0]
 
-    def within(self, T_world_links: np.ndarray, box_world: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    def within(self, T_world_links: Array, box_world: Array, most: int) -> tuple[Array, Array]:
         """The first points in a box; drawn in random order, they are as uniform as all that are in it.
 
         Args:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.embodiment.meshes import visual_geoms
 from cei_gym.rendering import DepthCamera, project
@@ -23,7 +24,7 @@ class SeenPoints:
     def __init__(self, model: mujoco.MjModel, cameras: Sequence[Camera]) -> None:
         self._camera = DepthCamera(model, cameras, geoms=visual_geoms(model))
 
-    def __call__(self, points_world: np.ndarray, T_world_links: np.ndarray, scene_world: np.ndarray) -> np.ndarray:
+    def __call__(self, points_world: Array, T_world_links: Array, scene_world: Array) -> Array:
         """Which points (N, 3) are seen.
 
         Args:

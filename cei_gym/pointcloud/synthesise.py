@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera, Scene
 from cei_gym.embodiment import Embodiment
 from cei_gym.embodiment.meshes import visual_link_meshes
@@ -37,7 +38,7 @@ class CloudSynthesiser:
         self._sample = SurfaceSampler(visual_link_meshes(target.model), o.robot_points, o.seed)
         self._seen: tuple[tuple[Camera, ...], SeenPoints] | None = None
 
-    def remove(self, points_world: np.ndarray, scene: Scene, qpos: np.ndarray) -> np.ndarray:
+    def remove(self, points_world: Array, scene: Scene, qpos: Array) -> Array:
         """One frame's recorded points without the source robot.
 
         Args:
@@ -61,7 +62,7 @@ class CloudSynthesiser:
             points = points[~isolated(points[:, :3], self.options.outlier_m)]
         return points
 
-    def keep(self, points_world: np.ndarray, scene: Scene) -> np.ndarray:
+    def keep(self, points_world: Array, scene: Scene) -> Array:
         """One frame's cloud with the robot that was recorded: cropped and thinned alone (see `CloudOptions.swap`).
 
         Args:
@@ -73,7 +74,7 @@ class CloudSynthesiser:
         """
         return farthest_point_sample(self._cropped(points_world, scene), self.options.points, self.options.seed)
 
-    def add(self, points_world: np.ndarray, scene: Scene, qpos: np.ndarray) -> np.ndarray:
+    def add(self, points_world: Array, scene: Scene, qpos: Array) -> Array:
         """The target's cloud of one frame.
 
         Args:
@@ -103,7 +104,7 @@ class CloudSynthesiser:
             points = points[first_of_voxels(points, o.voxel_m)]
         return farthest_point_sample(points, o.points, o.seed)
 
-    def _cropped(self, points_world: np.ndarray, scene: Scene) -> np.ndarray:
+    def _cropped(self, points_world: Array, scene: Scene) -> Array:
         points = points_world if self.options.colours else points_world[:, :3]
         return points[crop(points, scene.workspace_world)]
 

@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 from cei_gym.errors import CEIError
 
 _BLOCK = 128
 
 
-def farthest_point_sample(points: np.ndarray, n: int = 1024, seed: int = 0) -> np.ndarray:
+def farthest_point_sample(points: Array, n: int = 1024, seed: int = 0) -> Array:
     """Greedy farthest points from a seeded start; the same input and seed give the same output.
 
     Args:
@@ -38,7 +39,7 @@ def farthest_point_sample(points: np.ndarray, n: int = 1024, seed: int = 0) -> n
     return points[_farthest(axes[0], axes[1], axes[2], n, start)]
 
 
-def first_of_voxels(points: np.ndarray, voxel_m: float) -> np.ndarray:
+def first_of_voxels(points: Array, voxel_m: float) -> Array:
     """Indices (M,), rising, of the first point in each cell of a grid through the origin.
 
     Args:

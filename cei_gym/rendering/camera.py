@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.rendering.rasteriser import rasterise
 from cei_gym.rendering.shapes import geom_scale
@@ -27,7 +28,7 @@ class DepthCamera:
         cameras: Sequence[Camera],
         groups: Sequence[int] = (1,),
         cluster_m: float = 0.001,
-        geoms: np.ndarray | None = None,
+        geoms: Array | None = None,
     ) -> None:
         """
         Args:
@@ -44,7 +45,7 @@ class DepthCamera:
         self._model = model
         self._triangles = collect(model, visible_geoms(model, groups) if geoms is None else geoms, cluster_m)
 
-    def render(self, data: mujoco.MjData) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def render(self, data: mujoco.MjData) -> dict[str, tuple[Array, Array]]:
         """Images of the scene as `data` has it (after `mj_forward` or `mj_kinematics`).
 
         Returns:
@@ -54,7 +55,7 @@ class DepthCamera:
         geom_id = self._triangles.geom_id
         return self._render(data.geom_xmat[geom_id].reshape(-1, 3, 3), data.geom_xpos[geom_id])
 
-    def render_at(self, T_world_bodies: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def render_at(self, T_world_bodies: Array) -> dict[str, tuple[Array, Array]]:
         """The same images with the model's bodies at the poses (nbody, 4, 4)."""
         geom_id = self._triangles.geom_id
         T_world_body = T_world_bodies[self._model.geom_bodyid[geom_id]]
@@ -63,7 +64,7 @@ class DepthCamera:
         R_body_geom = Rotation.from_quat(self._model.geom_quat[geom_id], scalar_first=True).as_matrix()
         return self._render(R_world_body @ R_body_geom, p_world_geom)
 
-    def _render(self, R_world_geom: np.ndarray, p_world_geom: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def _render(self, R_world_geom: Array, p_world_geom: Array) -> dict[str, tuple[Array, Array]]:
         triangles = self._triangles
         scale, shift = geom_scale(self._model, triangles.geom_id)
         images = {}

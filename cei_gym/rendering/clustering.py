@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from cei_gym.arrays import Array
 
-def cluster_vertices(vertices: np.ndarray, faces: np.ndarray, cell_m: float) -> tuple[np.ndarray, np.ndarray]:
+
+def cluster_vertices(vertices: Array, faces: Array, cell_m: float) -> tuple[Array, Array]:
     """Merges the vertices that share a cubic cell, and drops the triangles that collapse.
 
     Every vertex moves less than `sqrt(3) * cell_m`. Unlike quadric edge collapse this cannot tear a mesh
@@ -27,7 +29,7 @@ def cluster_vertices(vertices: np.ndarray, faces: np.ndarray, cell_m: float) -> 
     return np.ascontiguousarray(centres), merged[(a != b) & (b != c) & (c != a)]
 
 
-def is_closed(faces: np.ndarray) -> bool:
+def is_closed(faces: Array) -> bool:
     """Whether every directed edge has its opposite, so that no back of a triangle is seen from outside."""
     start = faces.astype(np.int64)
     end = np.roll(start, -1, axis=1)

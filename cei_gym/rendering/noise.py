@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 from cei_gym.demonstration import Camera
 from cei_gym.errors import CEIError, unknown
@@ -105,7 +106,7 @@ def miscalibrated(camera: Camera, noise: DepthNoise) -> Camera:
     return replace(camera, T_world_camera=camera.T_world_camera @ error)
 
 
-def add_noise(depth_m: np.ndarray, camera: Camera, noise: DepthNoise, random: np.random.Generator) -> np.ndarray:
+def add_noise(depth_m: Array, camera: Camera, noise: DepthNoise, random: np.random.Generator) -> Array:
     """A depth image as a real camera would have it.
 
     Args:

@@ -8,12 +8,13 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 from cei_gym.demonstration import Camera
 from cei_gym.errors import CEIError, unknown
 
 
-def intrinsics(width: int, height: int, fovy_deg: float) -> np.ndarray:
+def intrinsics(width: int, height: int, fovy_deg: float) -> Array:
     """(3, 3) K in pixels for square pixels and a vertical field of view in degrees."""
     if not (width > 0 and height > 0 and 0 < fovy_deg < 180):
         raise CEIError(f"a camera needs pixels and 0 < fovy < 180, not {width}x{height} and {fovy_deg}.")
@@ -67,14 +68,14 @@ def camera_from_mujoco(
     return Camera(names[index] or f"camera{index}", width, height, K, T_world_camera)
 
 
-def camera_points(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
+def camera_points(depth_m: Array, camera: Camera) -> Array:
     """(H, W, 3) points in the camera's frame in metres, the origin where depth is 0."""
     v, u = np.indices(depth_m.shape)
     K = camera.K
     return np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], axis=-1) * depth_m[..., None]
 
 
-def unproject(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
+def unproject(depth_m: Array, camera: Camera) -> Array:
     """Points seen in a depth image.
 
     Args:
@@ -97,7 +98,7 @@ def unproject(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
     return points_world[:count]
 
 
-def project(points_world: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def project(points_world: Array, camera: Camera) -> tuple[Array, Array]:
     """Where points appear in a camera's image: the inverse of `unproject`, to a whole pixel.
 
     Args:

@@ -1,7 +1,6 @@
 """A picture of an embodiment alone, without a scene."""
 
-import numpy as np
-
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.embodiment import Embodiment
 from cei_gym.embodiment.colours import geom_colours
@@ -10,7 +9,7 @@ from cei_gym.rendering.camera import DepthCamera
 from cei_gym.rendering.shading import shade
 
 
-def lighter(rgba: np.ndarray) -> np.ndarray:
+def lighter(rgba: Array) -> Array:
     """Colours in [0, 1] made lighter: black hands, as most are, would hide their own shape."""
     return 0.35 + 0.65 * rgba
 
@@ -26,7 +25,7 @@ class Portrait:
         self._eye = DepthCamera(embodiment.model, (), geoms=visual_geoms(embodiment.model))
         self._colours = lighter(geom_colours(embodiment.model))
 
-    def __call__(self, T_world_links: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, T_world_links: Array, camera: Camera) -> tuple[Array, Array]:
         """One picture.
 
         Args:

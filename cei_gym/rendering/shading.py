@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.rendering.pinhole import camera_points
 
@@ -9,7 +10,7 @@ _BACKGROUND = (0.93, 0.94, 0.96)
 _SHEEN = 0.12  # keeps the shape of black parts visible
 
 
-def shade(depth_m: np.ndarray, geom_id: np.ndarray, camera: Camera, rgba_per_geom: np.ndarray) -> np.ndarray:
+def shade(depth_m: Array, geom_id: Array, camera: Camera, rgba_per_geom: Array) -> Array:
     """Lambert shading under a headlight and a lamp overhead, with normals taken from the depth.
 
     Args:
@@ -34,7 +35,7 @@ def shade(depth_m: np.ndarray, geom_id: np.ndarray, camera: Camera, rgba_per_geo
     return (np.clip(colour, 0, 1) * 255).round().astype(np.uint8)
 
 
-def _slope(points: np.ndarray, geom_id: np.ndarray, axis: int) -> np.ndarray:
+def _slope(points: Array, geom_id: Array, axis: int) -> Array:
     """(H, W, 3) step from or to a neighbour: the one on the same geom, or of less change in depth."""
     step = np.diff(points, axis=axis)
     cost = np.abs(step[..., 2]) + 1e3 * (np.diff(geom_id, axis=axis) != 0)

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import trimesh
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 
 INFINITE_PLANE_HALF_M = 100.0  # what an infinite plane is cut to
@@ -26,7 +27,7 @@ def is_mesh(kind: int) -> bool:
 
 
 @cache
-def unit_shape(kind: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def unit_shape(kind: int) -> tuple[Array, Array, Array]:
     """Triangles of a primitive of size 1, wound outwards.
 
     Args:
@@ -62,7 +63,7 @@ def unit_shape(kind: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return vertices, caps, np.ascontiguousarray(mesh.faces, dtype=np.int32)
 
 
-def geom_scale(model: mujoco.MjModel, geom_id: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def geom_scale(model: mujoco.MjModel, geom_id: Array) -> tuple[Array, Array]:
     """Current sizes of geoms: scale (G, 3) and shift (G,), metres (a mesh has scale 1)."""
     kind = model.geom_type[geom_id]
     scale = model.geom_size[geom_id].copy()

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.rendering.pinhole import project
 
@@ -9,11 +10,11 @@ _ON_SURFACE_M = 0.004  # a point this far behind a surface is on it
 
 
 def splat(
-    picture: np.ndarray,
-    depth_m: np.ndarray,
+    picture: Array,
+    depth_m: Array,
     camera: Camera,
-    points_world: np.ndarray,
-    rgb: np.ndarray,
+    points_world: Array,
+    rgb: Array,
     radius_px: float,
 ) -> None:
     """Draw points as discs, in place, the nearer over the farther.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.colours import geom_colours
 from cei_gym.errors import CEIError
 from cei_gym.rendering.clustering import cluster_vertices, is_closed
@@ -25,21 +26,21 @@ class Triangles:
         one_sided: (G,) bool, true where backs of triangles need no drawing.
     """
 
-    geom_id: np.ndarray
-    vertices: np.ndarray
-    caps: np.ndarray
-    faces: np.ndarray
-    vertex_range: np.ndarray
-    face_range: np.ndarray
-    one_sided: np.ndarray
+    geom_id: Array
+    vertices: Array
+    caps: Array
+    faces: Array
+    vertex_range: Array
+    face_range: Array
+    one_sided: Array
 
 
-def visible_geoms(model: mujoco.MjModel, groups: Sequence[int] = (1,)) -> np.ndarray:
+def visible_geoms(model: mujoco.MjModel, groups: Sequence[int] = (1,)) -> Array:
     """(ngeom,) bool: geoms in these groups (robosuite: 0 collision, 1 visual) that are not transparent."""
     return np.isin(model.geom_group, groups) & (geom_colours(model)[:, 3] > 0)
 
 
-def collect(model: mujoco.MjModel, selection: np.ndarray, cluster_m: float = 0.001) -> Triangles:
+def collect(model: mujoco.MjModel, selection: Array, cluster_m: float = 0.001) -> Triangles:
     """Packs the triangles of the selected geoms.
 
     Args:
@@ -69,9 +70,7 @@ def collect(model: mujoco.MjModel, selection: np.ndarray, cluster_m: float = 0.0
     )
 
 
-def _shape(
-    model: mujoco.MjModel, kind: int, mesh_id: int, cluster_m: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+def _shape(model: mujoco.MjModel, kind: int, mesh_id: int, cluster_m: float) -> tuple[Array, Array, Array, bool]:
     if not is_mesh(kind):
         return *unit_shape(kind), True  # a plane has no back in MuJoCo either
     start, count = model.mesh_vertadr[mesh_id], model.mesh_vertnum[mesh_id]
@@ -83,6 +82,6 @@ def _shape(
     return vertices, np.zeros(len(vertices)), faces, is_closed(faces)
 
 
-def _ranges(parts: Sequence[np.ndarray]) -> np.ndarray:
+def _ranges(parts: Sequence[Array]) -> Array:
     ends = np.cumsum([len(part) for part in parts])
     return np.stack([np.concatenate([[0], ends[:-1]]), ends], axis=1).astype(np.int64)

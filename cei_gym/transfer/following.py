@@ -13,6 +13,7 @@ from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 from cei_gym.alignment.retime import retime
 from cei_gym.alignment.start.basins import Basin, choose_modes, judge, judge_basins
 from cei_gym.alignment.start.starts import InitialisationOptions, find_basins
+from cei_gym.arrays import Array
 
 _FIRST_FRAME_ITERATIONS = 200
 _FINALISTS = 8
@@ -29,7 +30,7 @@ class Followed:
         track: what the target does.
     """
 
-    frames: np.ndarray
+    frames: Array
     motion: Motion
     track: Track
 

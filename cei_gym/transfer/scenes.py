@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from cei_gym.alignment.problem import Motion
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError
 from cei_gym.pointcloud import CloudSynthesiser, crop, frame_points
@@ -31,10 +32,11 @@ class Scenes:
         self._synthesiser = synthesiser
         self.options = synthesiser.options
 
-    def without_source(self, demonstration: Demonstration) -> list[np.ndarray]:
+    def without_source(self, demonstration: Demonstration) -> list[Array]:
         """For each frame the recorded points (M, 3 or 6) without the source robot, world, objects displaced if they are to be;
         empty where nothing was recorded."""
-        d, scenes = demonstration, []
+        d = demonstration
+        scenes: list[Array] = []
         for t, qpos in enumerate(d.qpos):
             points = self._recorded(d, t)
             if points is None:
@@ -49,11 +51,11 @@ class Scenes:
     def obstacles(
         self,
         demonstration: Demonstration,
-        scenes: Sequence[np.ndarray],
+        scenes: Sequence[Array],
         motion: Motion,
-        T_world_target: np.ndarray,
-        hand: np.ndarray,
-    ) -> tuple[list[np.ndarray], float]:
+        T_world_target: Array,
+        hand: Array,
+    ) -> tuple[list[Array], float]:
         """What stands on the support surface near the hand, target's base frame.
 
         Args:
@@ -80,8 +82,8 @@ class Scenes:
         return remember(objects, middle, moved, _NEAR_HAND_M), float(np.mean([its.sum() for its in tool]))
 
     def clouds(
-        self, demonstration: Demonstration, scenes: Sequence[np.ndarray], qpos: np.ndarray, T_world_target: np.ndarray
-    ) -> np.ndarray | None:
+        self, demonstration: Demonstration, scenes: Sequence[Array], qpos: Array, T_world_target: Array
+    ) -> Array | None:
         """(T, K, 3 or 6) clouds, world, with the target at (T, n') joint positions; None where nothing was recorded.
 
         Raises:
@@ -99,7 +101,7 @@ class Scenes:
         scene = replace(demonstration.scene, T_world_base=T_world_target)
         return np.stack([self._synthesiser.add(s, scene, q) for s, q in zip(scenes, qpos, strict=True)])
 
-    def _recorded(self, d: Demonstration, t: int) -> np.ndarray | None:
+    def _recorded(self, d: Demonstration, t: int) -> Array | None:
         """(N, 3 or 6) a frame's recorded points, world; None where nothing was recorded."""
         depth_m, rgb = ({name: images[t] for name, images in each.items()} for each in (d.depth_m, d.rgb))
         cloud = None if d.point_cloud_world is None else d.point_cloud_world[t]

@@ -10,6 +10,7 @@ from cei_gym.alignment.grip import Grip
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.options import ContactOptions
 from cei_gym.alignment.problem import Motion, Surroundings
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
 from cei_gym.functional import FunctionalRepresentation
@@ -28,7 +29,7 @@ class SourceSide:
     """
 
     def __init__(
-        self, representation: FunctionalRepresentation, contact: ContactOptions, T_world_target: np.ndarray | None
+        self, representation: FunctionalRepresentation, contact: ContactOptions, T_world_target: Array | None
     ) -> None:
         self.embodiment: Embodiment = representation.embodiment
         self.representation, self._contact, self._T_world_target = representation, contact, T_world_target
@@ -37,26 +38,26 @@ class SourceSide:
         self._sides = opposing_sides(representation, self.tree)
         self._pads = None if self._sides is None else pad_shapes(representation, self._sides)
 
-    def T_world_target(self, demonstration: Demonstration) -> np.ndarray:
+    def T_world_target(self, demonstration: Demonstration) -> Array:
         """(4, 4) pose of the target's base."""
         return demonstration.scene.T_world_base if self._T_world_target is None else self._T_world_target
 
-    def T_target_source(self, demonstration: Demonstration) -> np.ndarray:
+    def T_target_source(self, demonstration: Demonstration) -> Array:
         """(4, 4) pose of the source's base in the target's, or (T, 4, 4) where the source is displaced."""
         T_world_source, moved = demonstration.scene.T_world_base, demonstration.displacement
         if moved is not None:
             T_world_source = moved.T_world_source @ T_world_source
         return np.linalg.inv(self.T_world_target(demonstration)) @ T_world_source
 
-    def links(self, demonstration: Demonstration) -> np.ndarray:
+    def links(self, demonstration: Demonstration) -> Array:
         """(T, L, 4, 4) poses of the source's links in the target's base frame."""
         return self.T_target_source(demonstration)[..., None, :, :] @ self.tree.forward(demonstration.qpos)
 
-    def hand(self, demonstration: Demonstration) -> np.ndarray:
+    def hand(self, demonstration: Demonstration) -> Array:
         """(T, 4, 4) pose of the end-effector's root in the target's base frame."""
         return self.links(demonstration)[:, self.embodiment.end_effector_root]
 
-    def place(self, qpos: np.ndarray, T_target_source: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def place(self, qpos: Array, T_target_source: Array) -> tuple[Array, Array]:
         """Points and normals (..., N, 3) in the target's base frame, at (..., n) joint positions.
 
         T_target_source is (4, 4), or (..., 4, 4): one for each.
@@ -70,7 +71,7 @@ class SourceSide:
         # Bases stand upright, so a height in the world and one in the base frame differ by the base's own.
         return min(scene.support_z_m, lowest_world) - float(self.T_world_target(demonstration)[2, 3])
 
-    def motion(self, demonstration: Demonstration, u0: np.ndarray) -> Motion:
+    def motion(self, demonstration: Demonstration, u0: Array) -> Motion:
         """What the source's pads do over the support surface, and its grip; it starts from (m,) joints of the target."""
         points, normals = self.place(demonstration.qpos, self.T_target_source(demonstration))
         motion = Motion(points, normals, u0, dt_s=1.0 / demonstration.fps)
@@ -78,7 +79,7 @@ class SourceSide:
         return replace(motion, grip=self._grip(demonstration, motion), surroundings=surroundings)
 
     def among(
-        self, demonstration: Demonstration, motion: Motion, obstacles_base: list[np.ndarray], tool_points: float
+        self, demonstration: Demonstration, motion: Motion, obstacles_base: list[Array], tool_points: float
     ) -> Motion:
         """The motion among objects: grips are where objects are. The last two arguments are those of `Surroundings`."""
         assert motion.surroundings is not None
@@ -89,11 +90,11 @@ class SourceSide:
         around = replace(motion.surroundings, obstacles_base=obstacles_base, tool_points=tool_points)
         return replace(motion, grip=grip, surroundings=around)
 
-    def squeeze_m(self, demonstration: Demonstration, motion: Motion) -> np.ndarray:
+    def squeeze_m(self, demonstration: Demonstration, motion: Motion) -> Array:
         """(T,) how far the pads press into what they hold, m."""
         return np.clip(self._closing_m(demonstration, motion), 0.0, self._contact.squeeze_m)
 
-    def _closing_m(self, demonstration: Demonstration, motion: Motion) -> np.ndarray:
+    def _closing_m(self, demonstration: Demonstration, motion: Motion) -> Array:
         """(T,) how far each pad is told to go beyond where it is, in the mean, m."""
         commanded = demonstration.qpos.copy()
         hand = slice(self.embodiment.n_arm, None)

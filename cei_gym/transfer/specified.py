@@ -4,6 +4,7 @@ import numpy as np
 
 from cei_gym.alignment.manual import ManualAlignment
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
+from cei_gym.arrays import Array
 from cei_gym.functional import directional_chamfer_distance
 
 
@@ -28,13 +29,13 @@ class Specified:
         """Whether a side has been chosen."""
         return self._chosen is not None
 
-    def fit(self, qpos: np.ndarray, T_target_source: np.ndarray, motion: Motion) -> None:
+    def fit(self, qpos: Array, T_target_source: Array, motion: Motion) -> None:
         """Choose the side by a demonstration; arguments as for `follow`."""
         self._chosen = min(
             self._both, key=lambda manual: self._track(manual, qpos, T_target_source, motion).objective.mean()
         )
 
-    def follow(self, qpos: np.ndarray, T_target_source: np.ndarray, motion: Motion) -> Track:
+    def follow(self, qpos: Array, T_target_source: Array, motion: Motion) -> Track:
         """Follow a demonstration.
 
         Args:
@@ -45,7 +46,7 @@ class Specified:
         assert self._chosen is not None
         return self._track(self._chosen, qpos, T_target_source, motion)
 
-    def _track(self, manual: ManualAlignment, qpos: np.ndarray, T_target_source: np.ndarray, motion: Motion) -> Track:
+    def _track(self, manual: ManualAlignment, qpos: Array, T_target_source: Array, motion: Motion) -> Track:
         u = manual.track(qpos, T_target_source)
         objective = [
             directional_chamfer_distance(points, normals, *self._problem.place(each), self._lambda_m)

@@ -13,6 +13,7 @@ from cei_gym.alignment.problem import AlignmentProblem, Motion
 from cei_gym.alignment.start.basins import Basin
 from cei_gym.alignment.start.starts import InitialisationOptions
 from cei_gym.alignment.stream import Stream
+from cei_gym.arrays import Array
 from cei_gym.augmentation import Handling
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
@@ -52,7 +53,7 @@ class Transfer:
         init: InitialisationOptions | None = None,
         contact: ContactOptions | None = None,
         clouds: CloudOptions | None = None,
-        T_world_target: np.ndarray | None = None,
+        T_world_target: Array | None = None,
     ) -> None:
         self.source, self.target = source, target
         self.options = o = options or TransferOptions()
@@ -97,7 +98,7 @@ class Transfer:
             first = demonstrations[0]
             self._specified.fit(first.qpos, self._side.T_target_source(first), self.motion(first))
             return
-        motions = []
+        motions: list[Motion] = []
         for demonstration in demonstrations:
             if demonstration.point_cloud_world is not None:  # enough here, and quicker
                 demonstration = replace(demonstration, depth_m={}, rgb={})
@@ -142,7 +143,7 @@ class Transfer:
         scenes = self._scenes.without_source(demonstration)
         followed, report = self._follow(demonstration, self.motion(demonstration, scenes), mode, attempt)
         frames, track = followed.frames, followed.track
-        demonstration, scenes = demonstration.at(frames), [scenes[t] for t in frames] if scenes else scenes
+        demonstration, scenes = demonstration.at(frames), [scenes[int(t)] for t in frames] if scenes else scenes
         closing = track.u
         if self._specified is None:
             depth_m = attempt.squeeze * self._side.squeeze_m(demonstration, followed.motion)
@@ -166,7 +167,7 @@ class Transfer:
             return [Attempt()]
         return attempts(self._following.others(mode), self.options.representation, most)
 
-    def stream(self, dt_s: float | None = None, T_target_source: np.ndarray | None = None) -> LiveTransfer:
+    def stream(self, dt_s: float | None = None, T_target_source: Array | None = None) -> LiveTransfer:
         """Retarget live, one configuration of the source at a time, from where `fit` starts.
 
         Args:
@@ -178,7 +179,7 @@ class Transfer:
         T = np.eye(4) if T_target_source is None else T_target_source
         return LiveTransfer(self.target, self.place_source, stream, T)
 
-    def place_source(self, qpos: np.ndarray, T_target_source: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def place_source(self, qpos: Array, T_target_source: Array) -> tuple[Array, Array]:
         """The source's points and normals (..., N, 3) in the target's base frame, at (..., n) joint positions.
 
         T_target_source is (4, 4), or (..., 4, 4): one for each.
@@ -193,7 +194,7 @@ class Transfer:
         middle = motion.points_base.mean(axis=1) @ T_world_target[:3, :3].T + T_world_target[:3, 3]
         return Handling(held, middle, T_world_target @ self._side.hand(demonstration))
 
-    def motion(self, demonstration: Demonstration, scenes: Sequence[np.ndarray] = ()) -> Motion:
+    def motion(self, demonstration: Demonstration, scenes: Sequence[Array] = ()) -> Motion:
         """What the source's pads do, in the target's base frame; it starts from the target's home.
 
         Args:
@@ -218,7 +219,7 @@ class Transfer:
             return self._following.follow_from(attempt.basin, motion)
         return self._following.follow(motion, mode)
 
-    def _joints(self, u: np.ndarray) -> np.ndarray:
+    def _joints(self, u: Array) -> Array:
         """(T, n) joint positions as datasets store and environments observe them, so that clouds show the target just where they say."""
         return self.target.coupled.expand(u).astype(np.float32).astype(float)
 

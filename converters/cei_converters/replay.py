@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cei_converters.cli import DatasetConfig, SourceConfig, run
 from cei_converters.cli.options import check_overwrite, check_range, parse_episodes
 from cei_converters.simulation.stage import Stage
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
@@ -111,7 +110,7 @@ def _film(
     reader: "DatasetReader",
     beside: "tuple[DatasetReader, Stage] | None",
     entry: dict[str, Any],
-    pictures: list[np.ndarray],
+    pictures: list[Array],
 ):
     """Views and their labels: the source, where it is known, then the replayed episode."""
     views, labels = [pictures], [_label(reader, entry)]
@@ -149,7 +148,7 @@ def _film_of(config: ReplayConfig, outputs: "Outputs") -> _Film | None:
     return _Film(video, sheet)
 
 
-def _write_films(film: _Film, films: list, fps: float) -> None:
+def _write_films(film: _Film, films: list[Any], fps: float) -> None:
     from PIL import Image
 
     from cei_converters.simulation.video import contact_sheet, side_by_side, write_video

@@ -6,7 +6,7 @@ Long: one page says all that a task shares with the others and what its author f
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import gymnasium as gym
 import mujoco
@@ -16,6 +16,7 @@ from cei_envs.picture import Picture
 from cei_envs.sensors import SENSORS, check_sensors
 from cei_envs.simulation import CONTROL_HZ, Simulation
 from cei_envs.viewpoints import make_cameras
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.errors import CEIError, one_line
@@ -58,7 +59,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         render_mode: "rgb_array" or None.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012  (as Gymnasium declares it)
     """Gymnasium's: how it renders, at how many steps a second."""
 
     def __init__(
@@ -113,9 +114,9 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         """Base, depth cameras as calibrated, workspace."""
         self._camera = DepthCamera(self.simulation.model, placed) if clouds else None
         self._colours = geom_colours(self.simulation.model) if colours else None
-        self._depth_m: dict[str, np.ndarray] = {}
-        self._rgb: dict[str, np.ndarray] = {}
-        self._seen: dict[str, np.ndarray] = {}
+        self._depth_m: dict[str, Array] = {}
+        self._rgb: dict[str, Array] = {}
+        self._seen: dict[str, Array] = {}
         self._picture: Picture | None = None
         n = len(self.embodiment.joint_names)
         kinds = np.array(self.embodiment.joint_units) == "m"
@@ -152,23 +153,23 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
     """Control periods (1/20 s) in a row for which the task must be done to count."""
 
     @abstractmethod
-    def make_robosuite(self, **robot_arguments) -> Any:
+    def make_robosuite(self, **robot_arguments: Any) -> Any:
         """The robosuite environment of the task."""
 
     @abstractmethod
-    def workspace_world(self) -> np.ndarray:
+    def workspace_world(self) -> Array:
         """(2, 3) box that clouds are cropped to, metres; its lower face lies just above the support surface."""
 
     @abstractmethod
-    def sample_state(self, rng: np.random.Generator) -> np.ndarray:
+    def sample_state(self, rng: np.random.Generator) -> Array:
         """(k,) a random start."""
 
     @abstractmethod
-    def apply_state(self, state: np.ndarray) -> None:
+    def apply_state(self, state: Array) -> None:
         """Put the task's objects into a state (k,)."""
 
     @abstractmethod
-    def read_state(self) -> np.ndarray:
+    def read_state(self) -> Array:
         """(k,) state of the task's objects now."""
 
     @abstractmethod
@@ -199,20 +200,19 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         super().reset(seed=_checked_seed(seed))
         # A stream of its own: starts are the same with and without.
         self._noise_random = self.np_random.spawn(1)[0]
-        options = {} if options is None else options
-        if not isinstance(options, Mapping):
+        asked: Any = {} if options is None else options
+        if not isinstance(asked, Mapping):
             raise CEIError(
-                f"reset options are a mapping of environment_state and agent_pos, not {one_line(options, 60)}."
+                f"reset options are a mapping of environment_state and agent_pos, not {one_line(asked, 60)}."
             )
-        if unknown := set(options) - {"environment_state", "agent_pos"}:
-            raise CEIError(
-                f"unknown reset option {sorted(map(str, unknown))[0]!r}. Valid: environment_state, agent_pos."
-            )
+        given = cast("Mapping[Any, Any]", asked)
+        if unknown := {str(key) for key in given} - {"environment_state", "agent_pos"}:
+            raise CEIError(f"unknown reset option {min(unknown)!r}. Valid: environment_state, agent_pos.")
         # Drawn also when restored, and rounded to what datasets store, so that a stored start is the very start.
         state = self.sample_state(self.np_random).astype(np.float32)
         qpos = self._sample_start(self.np_random).astype(np.float32)
-        state = self._checked(options, "environment_state", state)
-        qpos = self._checked(options, "agent_pos", qpos)
+        state = self._checked(given, "environment_state", state)
+        qpos = self._checked(given, "agent_pos", qpos)
         self.simulation.reset(qpos)
         self.apply_state(state)
         self.simulation.forward()
@@ -221,7 +221,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         self._stage = "begun"
         return self._observation(), self._info()
 
-    def step(self, action: np.ndarray):
+    def step(self, action: Array):
         """Drive the joints to absolute targets; returns when they are there, at rest, or out of time.
 
         Raises:
@@ -248,7 +248,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         success = self._is_success()
         return self._observation(), float(success), success, False, self._info()
 
-    def render(self) -> np.ndarray | None:
+    def render(self) -> Array | None:
         """(240, 320, 3) uint8 picture of the scene; needs neither a display nor a GL library."""
         self._check_open()
         if self.render_mode is None:
@@ -265,11 +265,11 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
 
     # -- beside Gymnasium ---------------------------------------------------------------------------------------
 
-    def depth_m(self) -> dict[str, np.ndarray]:
+    def depth_m(self) -> dict[str, Array]:
         """Camera name to (H, W) float32 depth behind the last observation, whole millimetres in m, 0 where nothing is."""
         return self._depth_m
 
-    def rgb(self) -> dict[str, np.ndarray]:
+    def rgb(self) -> dict[str, Array]:
         """Camera name to the (H, W, 3) uint8 picture that belongs to the depth; empty without `colours`."""
         return self._rgb
 
@@ -322,13 +322,13 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
     def _is_success(self) -> bool:
         return self._held >= self.held_ticks
 
-    def _sample_start(self, rng: np.random.Generator) -> np.ndarray:
+    def _sample_start(self, rng: np.random.Generator) -> Array:
         n, n_arm = len(self.embodiment.home), self.embodiment.n_arm
         noise = np.where(np.arange(n) < n_arm, rng.normal(0.0, START_NOISE_RAD, n), 0.0)
         start = self._starts[rng.integers(len(self._starts)) if len(self._starts) > 1 else 0]
         return np.clip(start + noise, self.embodiment.lower, self.embodiment.upper)
 
-    def _checked_starts(self, start_qpos: Any) -> np.ndarray:
+    def _checked_starts(self, start_qpos: Any) -> Array:
         """(k, n) joint positions to start near."""
         n = len(self.embodiment.home)
         try:
@@ -341,19 +341,19 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
             )
         return starts
 
-    def _checked(self, options: Mapping[str, Any], name: str, default: np.ndarray) -> np.ndarray:
+    def _checked(self, options: Mapping[str, Any], name: str, default: Array) -> Array:
         try:
             return finite_row(options.get(name, default), len(default))
         except CEIError as error:
             raise CEIError(f"reset option {name!r} is {len(default)} finite numbers, not {error}.") from None
 
-    def _arrived(self, before: np.ndarray) -> bool:
+    def _arrived(self, before: Array) -> bool:
         driven, qpos = self.simulation.driven, self.simulation.qpos
         close = np.abs(qpos - self._target)[driven] < self._tolerance
         slow = np.abs(qpos - before)[driven] * CONTROL_HZ < AT_REST
         return bool(np.all(close | slow))
 
-    def _observation(self) -> dict[str, np.ndarray]:
+    def _observation(self) -> dict[str, Array]:
         observation = {
             "agent_pos": self.simulation.qpos.astype(np.float32),
             "environment_state": self.read_state().astype(np.float32),

@@ -1,8 +1,8 @@
 """RGB pictures of a simulation by our own rasteriser: the same on every machine, with a GL library or without."""
 
 import mujoco
-import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.rendering import DepthCamera, geom_colours, look_at, shade
 
 WIDTH, HEIGHT = 320, 240
@@ -20,7 +20,7 @@ class Picture:
         self._camera = DepthCamera(model, (self._view,))
         self._colours = geom_colours(model)
 
-    def render(self, data: mujoco.MjData) -> np.ndarray:
+    def render(self, data: mujoco.MjData) -> Array:
         """(240, 320, 3) uint8."""
         depth, geom = self._camera.render(data)[self._view.name]
         return shade(depth, geom, self._view, self._colours)

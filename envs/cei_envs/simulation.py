@@ -94,7 +94,7 @@ class Simulation:
         self.T_world_base[:3, :3] = self.data.xmat[base].reshape(3, 3)
 
     @property
-    def qpos(self) -> np.ndarray:
+    def qpos(self) -> Array:
         """(n,) joint positions of arm, then end-effector, rad or m."""
         return self.data.qpos[self._qpos_address].copy()
 
@@ -103,7 +103,7 @@ class Simulation:
         """(6,) force, N, and torque, N m, between arm and end-effector, in the frame of robosuite's sensor there."""
         return np.concatenate([self.data.sensor(f"{self._hand}{kind}_ee").data for kind in ("force", "torque")])
 
-    def reset(self, qpos: np.ndarray) -> None:
+    def reset(self, qpos: Array) -> None:
         """Bring everything to its first state, with the robot at rest at `qpos` (n,)."""
         self._env.reset()
         self.data.qpos[self._qpos_address] = qpos
@@ -115,11 +115,11 @@ class Simulation:
         mujoco.mj_forward(self.model, self.data)
         self._env.robots[0].composite_controller.reset()
 
-    def tick(self, target: np.ndarray) -> None:
+    def tick(self, target: Array) -> None:
         """One control period towards absolute joint targets (n,), rad or m, through robosuite's controllers."""
         self._env.step(np.concatenate([target[: self._n_arm], target[self._driven_hand]]))
 
-    def touching(self, geoms: np.ndarray, others: np.ndarray) -> bool:
+    def touching(self, geoms: Array, others: Array) -> bool:
         """Whether any of the geoms touches any of the others."""
         one, two = self.data.contact.geom.T
         return bool(np.any((np.isin(one, geoms) & np.isin(two, others)) | (np.isin(two, geoms) & np.isin(one, others))))

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from cei_envs.experts.plan import TOLERANCE_M, InverseKinematics, grip_pose
 from cei_envs.simulation import CONTROL_HZ, Simulation
+from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError, one_line, unknown
 
@@ -67,7 +68,7 @@ class Teleoperator:
         """End this attempt and all later ones; may be called by a signal handler."""
         self.stopped = True
 
-    def actions(self, start: np.ndarray) -> Iterator[np.ndarray]:
+    def actions(self, start: Array) -> Iterator[Array]:
         """Absolute joint targets (n,) float32, one a step of the environment, in real time from the first motion on.
 
         They end when the person gives up: Ctrl+q, the space mouse's right button, or a closed window.
@@ -102,13 +103,13 @@ class Teleoperator:
             target[n_arm:] = hand[n_arm:]
             yield target.astype(np.float32)
 
-    def _motion(self, state: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    def _motion(self, state: dict[str, Any]) -> tuple[Array, Array]:
         """Translation (3,) m and rotation vector (3,) rad of one step: robosuite's axes, each device's own gain."""
         roll, pitch, yaw = state["raw_drotation"]
         shift, turn = self._device._postprocess_device_outputs(state["dpos"], np.array([pitch, roll, -yaw]))
         return STEP_M * shift, STEP_RAD * turn
 
-    def _runs_away(self, position: np.ndarray, goal: np.ndarray) -> bool:
+    def _runs_away(self, position: Array, goal: Array) -> bool:
         actual, _ = grip_pose(self._embodiment, self._simulation.qpos)
         lead = np.linalg.norm(goal - actual)
         return bool(lead > LEASH_M and lead > np.linalg.norm(position - actual))

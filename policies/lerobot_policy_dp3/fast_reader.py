@@ -7,6 +7,7 @@ where they lie, in memory-mapped Arrow tables; text and pictures still go LeRobo
 import logging
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import datasets
 import lerobot
@@ -39,7 +40,7 @@ def install() -> bool:
 class FastReader(DatasetReader):
     """LeRobot's reader, with `get_item` made fast."""
 
-    def get_item(self, idx: int) -> dict:
+    def get_item(self, idx: int) -> dict[str, Any]:
         """One frame, with its windows; see LeRobot's."""
         columns = self.columns
         if columns is None:
@@ -142,7 +143,7 @@ class FastReader(DatasetReader):
         assert self._meta.tasks is not None
         return list(self._meta.tasks.index)
 
-    def __getstate__(self) -> dict:
+    def __getstate__(self) -> dict[str, Any]:
         lazy = ("columns", "_others", "_bounds", "_deltas", "_task_names")  # views, which workers make for themselves
         return {key: value for key, value in self.__dict__.items() if key not in lazy}
 

@@ -9,6 +9,7 @@ from scipy.spatial import Delaunay, QhullError
 from cei_gym.alignment.contact.pads import pad_shapes
 from cei_gym.alignment.grip import Grip
 from cei_gym.alignment.kernels.contact import SOFTNESS_M
+from cei_gym.arrays import Array
 from cei_gym.functional.representation import FunctionalRepresentation
 
 _GRID_M = 0.002
@@ -18,10 +19,10 @@ _BETWEEN_POINTS_M = 0.005  # a surface goes on this far around a point seen on i
 
 def source_grip(
     representation: FunctionalRepresentation,
-    sides: np.ndarray,
+    sides: Array,
     root: int,
-    T_base_links: np.ndarray,
-    held: np.ndarray,
+    T_base_links: Array,
+    held: Array,
 ) -> Grip:
     """What a source does.
 
@@ -49,7 +50,7 @@ def source_grip(
     return Grip(axis, contacts, T_base_root[:, :3, 3], T_base_root[:, :3, :3], held)
 
 
-def onto_objects(grip: Grip, pads: np.ndarray, objects: Sequence[np.ndarray], radius_m: float) -> Grip:
+def onto_objects(grip: Grip, pads: Array, objects: Sequence[Array], radius_m: float) -> Grip:
     """The grip with its contacts where objects are: a thin one may be held by the very edge of a pad.
 
     Where a hold begins, what is between the pads shows which part of them touches it; the contacts move, across the closing
@@ -71,7 +72,7 @@ def onto_objects(grip: Grip, pads: np.ndarray, objects: Sequence[np.ndarray], ra
     return replace(grip, contacts=grip.contacts + shift[:, None])
 
 
-def _touched(grip: Grip, pads: np.ndarray, points: np.ndarray, radius_m: float) -> np.ndarray:
+def _touched(grip: Grip, pads: Array, points: Array, radius_m: float) -> Array:
     """(3,) from the contacts' middle to that of what the pads (V, 3) touch, in the end-effector's frame; 0 if nothing."""
     axis, middle = grip.axis[0], grip.contacts[0].mean(axis=0)
     across = np.linalg.svd(axis[None])[2][1:]

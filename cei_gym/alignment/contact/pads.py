@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment.meshes import outermost
 from cei_gym.functional.palmar import within_extent
 from cei_gym.functional.representation import FunctionalRepresentation, pad_mesh
@@ -13,7 +14,7 @@ _POSES = 11  # from open to closed, where opposition is looked for
 _LEAST_OPPOSITION_RAD = 0.7  # between the mean normals of two sides that close on each other
 
 
-def opposing_sides(representation: FunctionalRepresentation, tree: KinematicTree) -> np.ndarray | None:
+def opposing_sides(representation: FunctionalRepresentation, tree: KinematicTree) -> Array | None:
     """(N,) side, 0 or 1, of each pair: pads whose normals face each other somewhere between open and closed.
 
     Returns:
@@ -50,11 +51,11 @@ class PadShapes:
         vertices_link: for each, (V, 3) outermost vertices in the link's frame, m.
     """
 
-    body: np.ndarray
-    side: np.ndarray
-    vertices_link: list[np.ndarray]
+    body: Array
+    side: Array
+    vertices_link: list[Array]
 
-    def place(self, T_links: np.ndarray) -> list[np.ndarray]:
+    def place(self, T_links: Array) -> list[Array]:
         """For each pad (T, V, 3) vertices, m, in the frame of the links' poses (T, L, 4, 4)."""
         return [
             np.einsum("tij,vj->tvi", T_links[:, body, :3, :3], vertices) + T_links[:, body, None, :3, 3]
@@ -62,7 +63,7 @@ class PadShapes:
         ]
 
 
-def pad_shapes(representation: FunctionalRepresentation, sides: np.ndarray) -> PadShapes:
+def pad_shapes(representation: FunctionalRepresentation, sides: Array) -> PadShapes:
     """The shapes of a representation's pads, with (N,) sides of its pairs: of each link only the part that is pad."""
     embodiment = representation.embodiment
     assert embodiment.end_effector is not None

@@ -19,6 +19,7 @@ from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import collision_constraint, no_collision_constraint, pack_obstacles
 from cei_gym.alignment.options import ContactOptions, SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
+from cei_gym.arrays import Array
 from cei_gym.kinematics.joints import reduce_to_joints
 
 _ITERATIONS = 20
@@ -61,7 +62,7 @@ class GraspRefiner:
         )
         return replace(track, u=u, objective=self._objective(motion, u), contact_miss_m=miss)
 
-    def overlap(self, motion: Motion, u: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    def overlap(self, motion: Motion, u: Array) -> tuple[Array, list[str]]:
         """(T,) how deep links are in objects at (T, m) configurations, m, and which is deepest; pads in what is gripped do not
         count."""
         if (grip := self._grip(motion)) is None:
@@ -119,7 +120,7 @@ class GraspRefiner:
         away = links._replace(idle=~touches)
         return target, grasp, away, links._replace(idle=touches, height_m=-np.inf)
 
-    def _turned_around(self, axis: np.ndarray, u: np.ndarray) -> bool:
+    def _turned_around(self, axis: Array, u: Array) -> bool:
         """Whether the target's side 0 does at `u` what the source's side 1 does, whose side 0 presses along `axis`."""
         _, normals = self._problem.place(u)
         mean = [normals[self._sides == side].mean(axis=0) for side in (0, 1)]
@@ -138,7 +139,7 @@ class GraspRefiner:
         elsewhere = pack_obstacles(Surroundings(around.support_z_base_m, outside), frames)
         return float(around.support_z_base_m), pack_obstacles(around, frames), elsewhere
 
-    def _objective(self, motion: Motion, u: np.ndarray) -> np.ndarray:
+    def _objective(self, motion: Motion, u: Array) -> Array:
         return distances(
             make_target(self._problem.representation, self._problem.tree),
             np.ascontiguousarray(motion.points_base, float),

@@ -3,11 +3,12 @@
 import numpy as np
 
 from cei_gym.alignment.problem import AlignmentProblem
+from cei_gym.arrays import Array
 
 _RIDGE = 1e-5  # m^2/rad^2: the least motion of joints among those that close the pads alike
 
 
-def squeeze(problem: AlignmentProblem, u: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+def squeeze(problem: AlignmentProblem, u: Array, depth_m: Array) -> Array:
     """Joints that close each pad along its normal, the arm at rest.
 
     Pads close in proportion to their share (their YAML's `share`), `depth_m` in the mean: a thumb against two fingers goes

@@ -8,6 +8,7 @@ import numpy as np
 
 from cei_gym.alignment.links import link_shapes
 from cei_gym.alignment.options import ClearanceOptions
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 from cei_gym.embodiment.embodiment import Embodiment
 
@@ -26,7 +27,7 @@ class Penetration:
         between: for each, a link's name and what it is in: another link, `SUPPORT`, `STAND` or `OBJECT`; empty where nothing touches.
     """
 
-    depth_m: np.ndarray
+    depth_m: Array
     between: tuple[tuple[str, ...], ...]
 
     def deeper(self, other: "Penetration") -> "Penetration":
@@ -61,7 +62,7 @@ class Clearance:
         self._motor_joint = self._model.actuator_trnid[driven, 0]
         self._motor_limit = self._model.actuator_ctrlrange[driven, 1] * np.abs(self._model.actuator_gear[driven, 0])
 
-    def worst(self, qpos: np.ndarray, support_z_base_m: float) -> tuple[float, float]:
+    def worst(self, qpos: Array, support_z_base_m: float) -> tuple[float, float]:
         """Deepest penetration (m) and largest share of an arm motor's limit spent on gravity.
 
         Args:
@@ -76,14 +77,12 @@ class Clearance:
                 share = max(share, float(np.max(np.abs(data.qfrc_bias[self._motor_joint]) / self._motor_limit)))
         return depth, share
 
-    def penetration(self, qpos: np.ndarray, support_z_base_m: float) -> Penetration:
+    def penetration(self, qpos: Array, support_z_base_m: float) -> Penetration:
         """The deepest penetration at each of (T, n) configurations; arguments as for `worst`."""
         found = [(depth_m, between) for _, depth_m, between in self._placed(qpos, support_z_base_m)]
         return Penetration(np.array([depth_m for depth_m, _ in found]), tuple(between for _, between in found))
 
-    def _placed(
-        self, qpos: np.ndarray, support_z_base_m: float
-    ) -> Iterator[tuple[mujoco.MjData, float, tuple[str, ...]]]:
+    def _placed(self, qpos: Array, support_z_base_m: float) -> Iterator[tuple[mujoco.MjData, float, tuple[str, ...]]]:
         """For each configuration the simulator's data with it, the deepest penetration, m, and what is in what."""
         data = mujoco.MjData(self._model)
         for q in qpos:

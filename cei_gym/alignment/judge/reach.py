@@ -7,6 +7,7 @@ import numpy as np
 
 from cei_gym.alignment.contact.pads import opposing_sides
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
+from cei_gym.arrays import Array
 
 _SAMPLES = 4096
 _NEAR_LIMIT = 1e-3  # rad or m
@@ -139,7 +140,7 @@ class Reach:
         return float(np.linalg.norm(self._random.mean(axis=1), axis=1).max())
 
     @cached_property
-    def _random(self) -> np.ndarray:
+    def _random(self) -> Array:
         """(S, N, 3) pads at random configurations, each joint as often near an end as between: extremes are what is looked for."""
         lower, upper = self._problem.embodiment.independent_limits
         share = np.random.default_rng(0).beta(0.5, 0.5, (_SAMPLES, len(lower)))

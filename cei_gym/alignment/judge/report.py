@@ -9,6 +9,7 @@ from cei_gym.alignment.judge.reach import Miss
 from cei_gym.alignment.kernels.distance import matched
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.problem import AlignmentProblem, Track
+from cei_gym.arrays import Array
 
 _AT_LIMIT = 1e-6
 _TOUCHES_MM = 1.0  # less is how meshes are, not how robots are
@@ -34,15 +35,15 @@ class AlignmentReport:
         tool_points: see `Surroundings`.
     """
 
-    pad_distance_mm: np.ndarray
-    normal_angle_deg: np.ndarray
-    objective_m: np.ndarray
-    iterations: np.ndarray
-    limit_hits: np.ndarray
-    joint_step_rad: np.ndarray
-    arm_at_limit: np.ndarray
-    speed_share: np.ndarray
-    penetration_mm: np.ndarray
+    pad_distance_mm: Array
+    normal_angle_deg: Array
+    objective_m: Array
+    iterations: Array
+    limit_hits: Array
+    joint_step_rad: Array
+    arm_at_limit: Array
+    speed_share: Array
+    penetration_mm: Array
     unreachable_mm: float
     penetrating: tuple[str, ...] = ()
     miss: Miss | None = None
@@ -81,8 +82,8 @@ class AlignmentReport:
 
 def make_report(
     problem: AlignmentProblem,
-    points_base: np.ndarray,
-    normals_base: np.ndarray,
+    points_base: Array,
+    normals_base: Array,
     track: Track,
     lambda_m: float,
     unreachable_mm: float,
@@ -122,8 +123,8 @@ def make_report(
 
 
 def pad_residuals(
-    problem: AlignmentProblem, points_base: np.ndarray, normals_base: np.ndarray, u: np.ndarray, lambda_m: float
-) -> tuple[np.ndarray, np.ndarray]:
+    problem: AlignmentProblem, points_base: Array, normals_base: Array, u: Array, lambda_m: float
+) -> tuple[Array, Array]:
     """How far the target's pads are from the source's, frame by frame.
 
     Args:

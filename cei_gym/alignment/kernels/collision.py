@@ -12,6 +12,7 @@ import numpy as np
 from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.quadratic import add_contact
 from cei_gym.alignment.kernels.target import empty_pose
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 
 
@@ -23,8 +24,8 @@ class Obstacles(NamedTuple):
         start: (T + 1,) those of frame t are `points[start[t] : start[t + 1]]`.
     """
 
-    points: np.ndarray
-    start: np.ndarray
+    points: Array
+    start: Array
 
 
 @njit(cache=True, nogil=True)
@@ -52,16 +53,16 @@ class CollisionConstraint(NamedTuple):
 
     weight: float
     height_m: float
-    body: np.ndarray
-    joint: np.ndarray
-    margin_m: np.ndarray
-    start: np.ndarray
-    vertices: np.ndarray
-    directions: np.ndarray
-    reach: np.ndarray
-    centre: np.ndarray
-    radius: np.ndarray
-    idle: np.ndarray
+    body: Array
+    joint: Array
+    margin_m: Array
+    start: Array
+    vertices: Array
+    directions: Array
+    reach: Array
+    centre: Array
+    radius: Array
+    idle: Array
 
 
 @njit(cache=True, nogil=True)

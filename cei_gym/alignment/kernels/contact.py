@@ -12,6 +12,7 @@ import numpy as np
 from cei_gym.alignment.kernels.collision import CollisionConstraint, penalise
 from cei_gym.alignment.kernels.distance import place_joints
 from cei_gym.alignment.kernels.quadratic import add_contact
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 
 SOFTNESS_M = 1e-2
@@ -35,14 +36,14 @@ class Grasp(NamedTuple):
         tolerance: fall of the energy that counts as none, m.
     """
 
-    joint: np.ndarray
-    side: np.ndarray
-    share: np.ndarray
-    start: np.ndarray
-    vertices: np.ndarray
-    normals: np.ndarray
+    joint: Array
+    side: Array
+    share: Array
+    start: Array
+    vertices: Array
+    normals: Array
     palm: int
-    hand: np.ndarray
+    hand: Array
     opposition: float
     facing: float
     approach: float
@@ -67,17 +68,17 @@ class GraspTarget(NamedTuple):
         posture: (m,) weights of staying near the anchor.
     """
 
-    axis: np.ndarray
-    contacts: np.ndarray
-    rotation: np.ndarray
-    point: np.ndarray
-    position: np.ndarray
+    axis: Array
+    contacts: Array
+    rotation: Array
+    point: Array
+    position: Array
     opposition: float
     across: float
     facing: float
     turning: float
     moving: float
-    posture: np.ndarray
+    posture: Array
 
 
 class Links(NamedTuple):
@@ -85,8 +86,8 @@ class Links(NamedTuple):
 
     away: CollisionConstraint
     pads: CollisionConstraint
-    around: np.ndarray
-    elsewhere: np.ndarray
+    around: Array
+    elsewhere: Array
 
 
 @njit(cache=True, nogil=True)

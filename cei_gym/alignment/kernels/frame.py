@@ -12,6 +12,7 @@ from cei_gym.alignment.kernels.distance import evaluate
 from cei_gym.alignment.kernels.quadratic import Quadratic, add_distance, empty_quadratic, project
 from cei_gym.alignment.kernels.step import DAMPING, STIFFENED, StepMemory, eased, empty_step, take_step
 from cei_gym.alignment.kernels.target import Pose, Source, empty_pose, empty_source, load_source
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 
 DAMPING_TRIES = 8
@@ -36,10 +37,10 @@ class Memory(NamedTuple):
     trial: Pose
     quadratic: Quadratic
     step: StepMemory
-    anchor: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    new: np.ndarray
+    anchor: Array
+    lower: Array
+    upper: Array
+    new: Array
 
 
 @njit(cache=True, nogil=True)

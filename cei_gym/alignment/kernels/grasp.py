@@ -11,6 +11,7 @@ from cei_gym.alignment.kernels.frame import empty_memory
 from cei_gym.alignment.kernels.quadratic import project
 from cei_gym.alignment.kernels.step import DAMPING, STIFFENED, eased, take_step
 from cei_gym.alignment.kernels.target import empty_pose
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 
 _OPEN_M = 0.02  # this much wider than what it holds, a hand is open
@@ -20,11 +21,11 @@ _DAMPING_TRIES = 6
 class GripArrays(NamedTuple):
     """What the source's end-effector does, in the target's base frame; see `cei_gym.alignment.grip.Grip`."""
 
-    axis: np.ndarray
-    contacts: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
-    held: np.ndarray
+    axis: Array
+    contacts: Array
+    position: Array
+    rotation: Array
+    held: Array
     reference: int
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 
 _SMOOTHING_M = 1e-3
@@ -24,12 +25,12 @@ class Quadratic(NamedTuple):
         force, block, screw: (n, 6), (n, 6, 6) upper triangles, (n, 6) of each joint.
     """
 
-    gradient: np.ndarray
-    hessian: np.ndarray
-    pull: np.ndarray
-    force: np.ndarray
-    block: np.ndarray
-    screw: np.ndarray
+    gradient: Array
+    hessian: Array
+    pull: Array
+    force: Array
+    block: Array
+    screw: Array
 
 
 @njit(cache=True, nogil=True)

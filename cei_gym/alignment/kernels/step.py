@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 
 DAMPING = 1e-3
@@ -19,11 +20,11 @@ EASED, STIFFENED = 0.33, 4.0
 class StepMemory(NamedTuple):
     """Scratch: a triangular factor, the solution of the free joints, which are free, and the whole step."""
 
-    factor: np.ndarray
-    solution: np.ndarray
-    free: np.ndarray
-    delta: np.ndarray
-    fixed: np.ndarray
+    factor: Array
+    solution: Array
+    free: Array
+    delta: Array
+    fixed: Array
 
 
 @njit(cache=True, nogil=True)

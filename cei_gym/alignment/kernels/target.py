@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.functional.representation import FunctionalRepresentation
@@ -28,14 +29,14 @@ class Target(NamedTuple):
     """
 
     joints: JointTree
-    leader: np.ndarray
-    scale: np.ndarray
-    offset: np.ndarray
-    pad_joint: np.ndarray
-    pads: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    fastest: np.ndarray
+    leader: Array
+    scale: Array
+    offset: Array
+    pad_joint: Array
+    pads: Array
+    lower: Array
+    upper: Array
+    fastest: Array
 
 
 def make_target(representation: FunctionalRepresentation, tree: KinematicTree, all_joints: bool = False) -> Target:
@@ -73,10 +74,10 @@ class Source(NamedTuple):
         radius: (1,) farthest point from the origin, m.
     """
 
-    origin: np.ndarray
-    pairs: np.ndarray
-    pairs32: np.ndarray
-    radius: np.ndarray
+    origin: Array
+    pairs: Array
+    pairs32: Array
+    radius: Array
 
 
 @njit(cache=True, nogil=True)
@@ -122,15 +123,15 @@ class Pose(NamedTuple):
         radius: (1,) farthest pad from the source's origin, m.
     """
 
-    rot: np.ndarray
-    pos: np.ndarray
-    axis: np.ndarray
-    pairs: np.ndarray
-    pairs32: np.ndarray
-    match: np.ndarray
-    match_back: np.ndarray
-    keys: np.ndarray
-    radius: np.ndarray
+    rot: Array
+    pos: Array
+    axis: Array
+    pairs: Array
+    pairs32: Array
+    match: Array
+    match_back: Array
+    keys: Array
+    radius: Array
 
 
 @njit(cache=True, nogil=True)

@@ -20,6 +20,7 @@ from cei_gym.alignment.links import collision_constraint, no_collision_constrain
 from cei_gym.alignment.options import SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 from cei_gym.alignment.solvers.solver import SecondOrderSolver
+from cei_gym.arrays import Array
 from cei_gym.compiled import njit
 
 _FULL_SPEED = 0.999
@@ -106,7 +107,7 @@ class NewtonSolver(SecondOrderSolver):
         whole = make_target(self._problem.representation, self._problem.tree, all_joints=True)
         return whole, collision_constraint(self._problem, self.options.clearance)
 
-    def track_waiting(self, motion: Motion, room: int) -> tuple[np.ndarray, Track]:
+    def track_waiting(self, motion: Motion, room: int) -> tuple[Array, Track]:
         """Follow a motion freely, showing again each frame in which a joint moves as fast as it can.
 
         Args:
@@ -118,7 +119,7 @@ class NewtonSolver(SecondOrderSolver):
         """
         return self._track(replace(motion, surroundings=None), room)
 
-    def _track(self, motion: Motion, room: int = 0) -> tuple[np.ndarray, Track]:
+    def _track(self, motion: Motion, room: int = 0) -> tuple[Array, Track]:
         iterations, surroundings = motion.iterations, motion.surroundings
         target, collision = self._free
         if surroundings is not None:
@@ -144,7 +145,7 @@ class NewtonSolver(SecondOrderSolver):
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return [track for _, track in pool.map(self._track, motions)]
 
-    def advance(self, points_base, normals_base, last, before, dt_s: float | None = None) -> np.ndarray:
+    def advance(self, points_base, normals_base, last, before, dt_s: float | None = None) -> Array:
         """One more frame, (N, 3) each, after the last two solutions (m,); the new one."""
         target, collision = self._free
         return _advance(
@@ -158,7 +159,7 @@ class NewtonSolver(SecondOrderSolver):
             before,
         )
 
-    def solve_starts(self, points_base, normals_base, starts, iterations: int) -> tuple[np.ndarray, np.ndarray]:
+    def solve_starts(self, points_base, normals_base, starts, iterations: int) -> tuple[Array, Array]:
         """Solve one frame, (N, 3) each, from many starts.
 
         Returns:
@@ -167,7 +168,7 @@ class NewtonSolver(SecondOrderSolver):
         points, normals = np.ascontiguousarray(points_base, float), np.ascontiguousarray(normals_base, float)
         settings = self._settings._replace(iterations=iterations)
 
-        def solve(some: np.ndarray):
+        def solve(some: Array):
             return _solve_starts(self._target, points, normals, settings, self._free[1], some)
 
         cores = os.cpu_count() or 1

@@ -23,6 +23,7 @@ from cei_gym.alignment.solvers.device import choose_device, widest_real
 from cei_gym.alignment.solvers.solver import SecondOrderSolver
 from cei_gym.alignment.solvers.torch_model import TorchModel
 from cei_gym.alignment.solvers.torch_records import BatchPose, Sources
+from cei_gym.arrays import Array
 
 
 class _State(NamedTuple):
@@ -102,7 +103,7 @@ class TorchNewtonSolver(SecondOrderSolver):
             tracks.update(zip(members, self._follow(model, some, self._departure(model, some)), strict=True))
         return [tracks[i] for i in range(len(motions))]
 
-    def solve_starts(self, points_base, normals_base, starts, iterations: int) -> tuple[np.ndarray, np.ndarray]:
+    def solve_starts(self, points_base, normals_base, starts, iterations: int) -> tuple[Array, Array]:
         """Solve one frame, (N, 3) each, from many starts (S, m), as one batch.
 
         Returns:
@@ -111,14 +112,14 @@ class TorchNewtonSolver(SecondOrderSolver):
         tracks = self.track_all([Motion(points_base[None], normals_base[None], u0, iterations) for u0 in starts])
         return np.concatenate([t.u for t in tracks]), np.concatenate([t.objective for t in tracks])
 
-    def advance(self, points_base, normals_base, last, before, dt_s: float | None = None) -> np.ndarray:
+    def advance(self, points_base, normals_base, last, before, dt_s: float | None = None) -> Array:
         """One more frame, (N, 3) each, after the last two solutions (m,); the new one."""
         motions = [Motion(points_base[None], normals_base[None], last, dt_s=dt_s)]
         state = self._departure(self._free, motions)
         state = state._replace(first=state.first - 2, last=self._free.tensor(before)[None])
         return self._follow(self._free, motions, state)[0].u[0]
 
-    def derivatives(self, points_base, normals_base, u) -> tuple[float, np.ndarray, np.ndarray]:
+    def derivatives(self, points_base, normals_base, u) -> tuple[float, Array, Array]:
         """DCD, gradient (m,) and majoriser's Hessian (m, m) at one frame, for inspection and tests."""
         model = self._free
         sources = model.sources([Motion(points_base[None], normals_base[None], u)])

@@ -3,10 +3,9 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-import numpy as np
-
 from cei_gym.alignment.options import SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings, Track
+from cei_gym.arrays import Array
 
 
 class Solver(ABC):
@@ -28,9 +27,9 @@ class Solver(ABC):
 
     def track(
         self,
-        points_base: np.ndarray,
-        normals_base: np.ndarray,
-        u0: np.ndarray,
+        points_base: Array,
+        normals_base: Array,
+        u0: Array,
         iterations: int | None = None,
         dt_s: float | None = None,
         surroundings: Surroundings | None = None,
@@ -52,8 +51,8 @@ class SecondOrderSolver(Solver):
 
     @abstractmethod
     def solve_starts(
-        self, points_base: np.ndarray, normals_base: np.ndarray, starts: np.ndarray, iterations: int
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, points_base: Array, normals_base: Array, starts: Array, iterations: int
+    ) -> tuple[Array, Array]:
         """Solve one frame, (N, 3) each, from (S, m) starts.
 
         Returns:
@@ -63,10 +62,10 @@ class SecondOrderSolver(Solver):
     @abstractmethod
     def advance(
         self,
-        points_base: np.ndarray,
-        normals_base: np.ndarray,
-        last: np.ndarray,
-        before: np.ndarray,
+        points_base: Array,
+        normals_base: Array,
+        last: Array,
+        before: Array,
         dt_s: float | None = None,
-    ) -> np.ndarray:
+    ) -> Array:
         """One more frame, (N, 3) each, after the last two solutions (m,); the new one."""

@@ -15,6 +15,7 @@ from cei_gym.alignment.kernels.target import Target
 from cei_gym.alignment.problem import Motion
 from cei_gym.alignment.solvers.torch_records import BatchPose, Sources
 from cei_gym.alignment.solvers.torch_tree import ancestors, carried_by, coupling, motions, placing
+from cei_gym.arrays import Array
 
 _SMOOTHING_M = 1e-3  # see `kernels.quadratic`
 _FAR_M = 1e6  # where obstacle points are that only fill an array
@@ -170,7 +171,7 @@ class TorchModel:
 class _Links:
     """Links as convex shapes on a device: see `kernels.collision`. Contacts are K with the surface, then I with objects."""
 
-    def __init__(self, model: TorchModel, collision: CollisionConstraint, carried: np.ndarray) -> None:
+    def __init__(self, model: TorchModel, collision: CollisionConstraint, carried: Array) -> None:
         self.weight = collision.weight
         idle = np.flatnonzero(collision.idle)
         joint = torch.as_tensor(collision.joint, device=model.device)
@@ -250,7 +251,7 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
     return torch.linalg.cross(a, b, dim=2)
 
 
-def _surroundings(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
+def _surroundings(motions: Sequence[Motion]) -> tuple[Array, Array]:
     """(F,) heights and (F, P, 3) obstacle points of all frames."""
     heights, obstacles = [], []
     for motion in motions:

@@ -3,9 +3,10 @@
 import numpy as np
 
 from cei_gym.alignment.kernels.target import Target
+from cei_gym.arrays import Array
 
 
-def motions(joints) -> np.ndarray:
+def motions(joints) -> Array:
     """(n, 4, 16) a joint's own transform as a sum over 1, sin q, 1 - cos q (Rodrigues' formula) and q."""
     x, y, z = joints.axis.T
     cross = np.zeros((len(x), 3, 3))
@@ -18,7 +19,7 @@ def motions(joints) -> np.ndarray:
     return terms.reshape(len(x), 4, 16)
 
 
-def ancestors(parent: np.ndarray) -> list[np.ndarray]:
+def ancestors(parent: Array) -> list[Array]:
     """(n + 1,) of each joint and the base, the last: the ancestors 1, 2, 4, ... up, as far as there are any.
 
     Transforms multiplied with those of these ancestors in turn reach the base in as many products as a chain's length
@@ -32,7 +33,7 @@ def ancestors(parent: np.ndarray) -> list[np.ndarray]:
     return found
 
 
-def carried_by(parent: np.ndarray) -> np.ndarray:
+def carried_by(parent: Array) -> Array:
     """(n + 1, n) whether a joint (the last row: the base) is moved by each joint."""
     carried = np.eye(len(parent) + 1, len(parent), dtype=bool)
     for k, up in enumerate(parent):
@@ -40,14 +41,14 @@ def carried_by(parent: np.ndarray) -> np.ndarray:
     return carried
 
 
-def coupling(target: Target) -> np.ndarray:
+def coupling(target: Target) -> Array:
     """(n, m) how joints follow the independent ones."""
     coupling = np.zeros((len(target.leader), len(target.lower)))
     coupling[np.arange(len(target.leader)), target.leader] = target.scale
     return coupling
 
 
-def placing(pads: np.ndarray, carrier: np.ndarray, carriers: int) -> np.ndarray:
+def placing(pads: Array, carrier: Array, carriers: int) -> Array:
     """(4 K, 2 N') what rows of K frames, side by side, are multiplied with to place points and normals."""
     placing, each = np.zeros((carriers, 4, 2, len(pads))), np.arange(len(pads))
     for i in range(3):

@@ -13,6 +13,7 @@ import numpy as np
 
 from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.problem import Motion, Track
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 
 _PENETRATION_WEIGHT = 1.0  # metres of objective a metre of penetration
@@ -46,7 +47,7 @@ class Basin:
         u_last: (m,) independent joints where the first demonstration ends, rad or m.
     """
 
-    u: np.ndarray
+    u: Array
     cost: float
     objective: float
     penetration_m: float
@@ -56,10 +57,10 @@ class Basin:
     lag_share: float
     limit_share: float
     joint_step_rad: float
-    u_last: np.ndarray
+    u_last: Array
 
 
-def judge_basins(follower: Follower, motions: Sequence[Motion], basins: np.ndarray, refine: bool = True) -> list[Basin]:
+def judge_basins(follower: Follower, motions: Sequence[Motion], basins: Array, refine: bool = True) -> list[Basin]:
     """Follow each basin through whole demonstrations; best first.
 
     Args:
@@ -101,7 +102,7 @@ def choose_modes(basins: Sequence[Basin], modes: int) -> list[Basin]:
     return chosen
 
 
-def judge(follower: Follower, motions: Sequence[Motion], u0: np.ndarray, tracks: Sequence[Track]) -> Basin:
+def judge(follower: Follower, motions: Sequence[Motion], u0: Array, tracks: Sequence[Track]) -> Basin:
     """What a basin's tracks cost."""
     embodiment = follower.problem.embodiment
     lower, upper = embodiment.independent_limits

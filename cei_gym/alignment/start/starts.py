@@ -8,6 +8,7 @@ from cei_gym.alignment.options import SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem
 from cei_gym.alignment.solvers.make import make_second_order_solver
 from cei_gym.alignment.solvers.solver import SecondOrderSolver
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, unknown
 
 METHODS = ("multistart", "eis", "given")
@@ -61,10 +62,10 @@ class InitialisationOptions:
 def find_basins(
     problem: AlignmentProblem,
     solver: SolverOptions,
-    points_base: np.ndarray,
-    normals_base: np.ndarray,
+    points_base: Array,
+    normals_base: Array,
     options: InitialisationOptions,
-) -> np.ndarray:
+) -> Array:
     """Distinct frame-0 solutions, best first.
 
     Args:
@@ -90,7 +91,7 @@ def find_basins(
     return found[_distinct(found, objective, options.basins)]
 
 
-def active_joints(problem: AlignmentProblem) -> np.ndarray:
+def active_joints(problem: AlignmentProblem) -> Array:
     """(m,) which independent joints move a pad at all; the others keep their home position."""
     coupled = problem.embodiment.coupled
     active = np.zeros(len(coupled.independent), bool)
@@ -98,7 +99,7 @@ def active_joints(problem: AlignmentProblem) -> np.ndarray:
     return active
 
 
-def random_starts(problem: AlignmentProblem, n: int, seed: int | list[int]) -> np.ndarray:
+def random_starts(problem: AlignmentProblem, n: int, seed: int | list[int]) -> Array:
     """(n, m) independent joints, uniform within limits and within pi of home, so that no joint starts wrapped."""
     lower, upper = problem.embodiment.independent_limits
     home = problem.embodiment.coupled.reduce(problem.embodiment.home)
@@ -110,16 +111,16 @@ def random_starts(problem: AlignmentProblem, n: int, seed: int | list[int]) -> n
 def elite_starts(
     problem: AlignmentProblem,
     newton: SecondOrderSolver,
-    points_base: np.ndarray,
-    normals_base: np.ndarray,
+    points_base: Array,
+    normals_base: Array,
     options: InitialisationOptions,
-) -> np.ndarray:
+) -> Array:
     """(draws, m) elite means: of `starts` random configurations, the mean of the tenth with the least DCD (EIS).
 
     A mean over a symmetric space lies between its modes, and small draws fall to one side or the other: their diversity
     is the paper's.
     """
-    means = []
+    means: list[Array] = []
     for draw in range(options.draws):
         u = random_starts(problem, options.starts, [options.seed, draw])
         _, objective = newton.solve_starts(points_base, normals_base, u, 0)
@@ -128,7 +129,7 @@ def elite_starts(
     return np.array(means)
 
 
-def unwrap(problem: AlignmentProblem, u: np.ndarray) -> np.ndarray:
+def unwrap(problem: AlignmentProblem, u: Array) -> Array:
     """(K, m) solutions with every hinge brought by whole turns to within pi of home where its limits allow that.
 
     A turn must leave all that follows the joint where it was, so only joints that nothing else follows are turned.
@@ -142,7 +143,7 @@ def unwrap(problem: AlignmentProblem, u: np.ndarray) -> np.ndarray:
     return np.where(alone & hinge & (turned >= lower) & (turned <= upper), turned, u)
 
 
-def _given(problem: AlignmentProblem, options: InitialisationOptions) -> np.ndarray:
+def _given(problem: AlignmentProblem, options: InitialisationOptions) -> Array:
     embodiment, qpos = problem.embodiment, np.array(options.qpos, float)
     names = ", ".join(embodiment.joint_names)
     if len(qpos) != len(embodiment.joint_names):
@@ -157,7 +158,7 @@ def _given(problem: AlignmentProblem, options: InitialisationOptions) -> np.ndar
     return embodiment.coupled.reduce(qpos)
 
 
-def _distinct(u: np.ndarray, objective: np.ndarray, most: int) -> list[int]:
+def _distinct(u: Array, objective: Array, most: int) -> list[int]:
     """Indices of solutions that differ from every better one, best first."""
     kept: list[int] = []
     for i in np.argsort(objective, kind="stable"):

@@ -45,7 +45,7 @@ class Figure:
     commit: str | None = None
     date: str | None = None
     seeds: tuple[int, int] | None = None
-    versions: Mapping[str, str] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict[str, str])
     measures: tuple[str, ...] = ()
     code: str | None = None
     made_of: tuple[str, ...] = ()

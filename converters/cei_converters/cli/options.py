@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 
 _MOST_EPISODES = 10_000_000
@@ -36,7 +37,7 @@ def parse_episodes(text: str | None) -> list[int] | None:
     return indices
 
 
-def parse_pose(option: str, text: str | None) -> np.ndarray | None:
+def parse_pose(option: str, text: str | None) -> Array | None:
     """`x,y,z` or `x,y,z,qw,qx,qy,qz` -> (4, 4) transform, metres; None stays None.
 
     Raises:

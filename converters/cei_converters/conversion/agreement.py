@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
@@ -41,7 +42,7 @@ def check_clouds(source: Embodiment, demonstrations: Sequence[Demonstration]) ->
     return "" if found is None else _told(source.name, found)
 
 
-def _cloud(demonstration: Demonstration, t: int) -> np.ndarray | None:
+def _cloud(demonstration: Demonstration, t: int) -> Array | None:
     depth_m = {name: images[t] for name, images in demonstration.depth_m.items()}
     recorded = demonstration.point_cloud_world
     points = frame_points(demonstration.scene, depth_m, {}, None if recorded is None else recorded[t], colours=False)

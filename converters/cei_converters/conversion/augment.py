@@ -9,6 +9,7 @@ import numpy as np
 
 from cei_converters.cli.options import parse_numbers
 from cei_converters.dataset import schema
+from cei_gym.arrays import Array
 from cei_gym.augmentation import RAMP, Handling, Offset, boxes_of_state, carried_box, displace, grid_offsets, segmented
 from cei_gym.demonstration import Demonstration
 from cei_gym.displacement import Region
@@ -94,7 +95,7 @@ class AugmentOptions:
         return grid_offsets((int(nx), int(ny)), (x_m, y_m))
 
     @property
-    def box_world(self) -> np.ndarray | None:
+    def box_world(self) -> Array | None:
         """(2, 3) lower and upper corner, m.
 
         Raises:

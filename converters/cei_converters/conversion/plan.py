@@ -45,8 +45,8 @@ class Plan:
 
     config: ConvertConfig
     provenance: Provenance
-    finalists: list[Basin] = field(default_factory=list)
-    frames: list[int] = field(default_factory=list)
+    finalists: list[Basin] = field(default_factory=list[Basin])
+    frames: list[int] = field(default_factory=list[int])
 
     @property
     def shards(self) -> list[range]:

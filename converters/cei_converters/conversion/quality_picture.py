@@ -15,6 +15,7 @@ from cei_converters.conversion.episode import Outcome, Worst
 from cei_converters.conversion.gate import DROPPED, FLAGGED, KEPT, Gate
 from cei_converters.view.episode import Side, View, make_side
 from cei_converters.view.sheet import draw_moments
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
 
@@ -65,7 +66,7 @@ def _decision(outcome: Outcome, gate: Gate) -> str:
     return DROPPED if outcome.left_out else gate.decision(outcome.record["quality"]["score"])
 
 
-def _draw_scores(axes: Axes, scores: np.ndarray, decisions: Sequence[str], gate: Gate) -> None:
+def _draw_scores(axes: Axes, scores: Array, decisions: Sequence[str], gate: Gate) -> None:
     shown = [decision for decision in _COLOURS if decision in decisions]
     axes.hist(
         [scores[np.array(decisions) == decision] for decision in shown],
@@ -83,7 +84,7 @@ def _draw_scores(axes: Axes, scores: np.ndarray, decisions: Sequence[str], gate:
     axes.legend(loc="upper center", ncols=5, fontsize=8)
 
 
-def _draw_parts(axes: Axes, names: Sequence[str], parts: np.ndarray, decisions: Sequence[str]) -> None:
+def _draw_parts(axes: Axes, names: Sequence[str], parts: Array, decisions: Sequence[str]) -> None:
     """A dot an episode and part, (episodes, parts), spread a little in the order of the episodes."""
     spread = np.linspace(-0.3, 0.3, len(parts)) if len(parts) > 1 else np.zeros(1)
     colours = [_COLOURS[decision] for decision in decisions]
@@ -94,7 +95,7 @@ def _draw_parts(axes: Axes, names: Sequence[str], parts: np.ndarray, decisions: 
     axes.grid(axis="x", alpha=0.3)
 
 
-def _draw_worst(axes: Axes, outcome: Outcome, decision: str, picture: np.ndarray) -> None:
+def _draw_worst(axes: Axes, outcome: Outcome, decision: str, picture: Array) -> None:
     entry, frame = outcome.entry, outcome.worst.frame
     axes.imshow(picture)
     axes.set(xticks=[], yticks=[])
@@ -106,11 +107,11 @@ def _draw_worst(axes: Axes, outcome: Outcome, decision: str, picture: np.ndarray
     )
 
 
-def _portraits(worst: Sequence[Worst], converter: Converter) -> list[np.ndarray]:
+def _portraits(worst: Sequence[Worst], converter: Converter) -> list[Array]:
     """The target at one frame of each episode, its pads and the source's: (H, W, 3) uint8 each."""
     scene, frames = converter.reader.scene, np.array([each.frame for each in worst])
 
-    def side(role: str, embodiment: Embodiment, T_world_base: np.ndarray) -> Side:
+    def side(role: str, embodiment: Embodiment, T_world_base: Array) -> Side:
         qpos = np.array([getattr(each, f"qpos_{role}") for each in worst])
         demonstration = Demonstration(embodiment.name, 1.0, qpos, qpos, replace(scene, T_world_base=T_world_base))
         return make_side(role, embodiment, demonstration, frames)

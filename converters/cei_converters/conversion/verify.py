@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def _same(one: "Demonstration", other: "Demonstration") -> bool:
     return a.shape == b.shape and bool(np.abs(a - b).max() < _SAME_RAD)
 
 
-def open_stage(repo_id: str, environment: "Environment", target: str, T_world_base: np.ndarray) -> "Stage":
+def open_stage(repo_id: str, environment: "Environment", target: str, T_world_base: Array) -> "Stage":
     """The environment in which to verify.
 
     Args:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from cei_converters.cli import quiet_libraries
 from cei_converters.conversion.converter import Converter
@@ -80,7 +80,7 @@ class ShardTask:
     shards: list[int]
     threads: int
 
-    def __setstate__(self, state: dict) -> None:
+    def __setstate__(self, state: dict[str, Any]) -> None:
         quiet()  # a worker learns of its task before datatrove logs
         self.__dict__.update(state)
 

@@ -102,8 +102,8 @@ class Writing:
 def write(
     root: Path,
     environment: dict[str, Any],
-    cameras: dict[str, dict],
-    carried: dict[str, dict],
+    cameras: dict[str, dict[str, Any]],
+    carried: dict[str, dict[str, Any]],
     tasks: list[str],
     go_on: Callable[[float], None] = lambda _: None,
 ) -> Path:

@@ -13,6 +13,7 @@ from cei_converters.dataset.columns import read_columns
 from cei_converters.dataset.decoding import check_video, decode_frames, decode_pictures, encoded_images
 from cei_converters.dataset.description import EPISODES_PATH, Description
 from cei_converters.dataset.rows import read_rows
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line, unknown
 
 
@@ -31,13 +32,13 @@ class Clip:
     start_s: float
     end_s: float
     fps: float
-    frames: np.ndarray | None = None
+    frames: Array | None = None
 
-    def at(self, frames: np.ndarray) -> "Clip":
+    def at(self, frames: Array) -> "Clip":
         """The clip with its frames at these indices, in this order."""
         return replace(self, frames=frames if self.frames is None else self.frames[frames])
 
-    def decode(self) -> np.ndarray:
+    def decode(self) -> Array:
         """Its pictures, (T, H, W, 3) uint8.
 
         Raises:
@@ -59,13 +60,13 @@ class Pictures:
         painted: feature key to (T, H, W, 3) uint8 pictures, which are not encoded yet.
     """
 
-    images: Mapping[str, pa.Array] = field(default_factory=dict)
-    clips: Mapping[str, Clip] = field(default_factory=dict)
-    statistics: Mapping[str, dict[str, np.ndarray]] = field(default_factory=dict)
-    features: Mapping[str, dict] = field(default_factory=dict)
-    painted: Mapping[str, np.ndarray] = field(default_factory=dict)
+    images: Mapping[str, pa.Array] = field(default_factory=dict[str, pa.Array])
+    clips: Mapping[str, Clip] = field(default_factory=dict[str, Clip])
+    statistics: Mapping[str, dict[str, Array]] = field(default_factory=dict[str, dict[str, Array]])
+    features: Mapping[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
+    painted: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
-    def at(self, frames: np.ndarray | None) -> "Pictures":
+    def at(self, frames: Array | None) -> "Pictures":
         """The pictures with their frames at these indices, in this order; None changes nothing."""
         if frames is None:
             return self
@@ -76,7 +77,7 @@ class Pictures:
             painted={key: pictures[frames] for key, pictures in self.painted.items()},
         )
 
-    def decode(self, key: str) -> np.ndarray:
+    def decode(self, key: str) -> Array:
         """A camera's pictures, (T, H, W, 3) uint8.
 
         Raises:
@@ -90,7 +91,7 @@ class Pictures:
             raise unknown("camera", key, self.features)
         return decode_pictures(self.images[key], self.features[key], key)
 
-    def paint(self, key: str, pictures: np.ndarray) -> "Pictures":
+    def paint(self, key: str, pictures: Array) -> "Pictures":
         """The same with other pictures of a camera.
 
         Args:
@@ -192,7 +193,7 @@ def find_clip(root: Path, meta: Description, index: int, key: str) -> Clip:
     return Clip(root / path, start_s, end_s, meta.fps)
 
 
-def _statistics(root: Path, meta: Description, index: int, keys: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
+def _statistics(root: Path, meta: Description, index: int, keys: Sequence[str]) -> dict[str, dict[str, Array]]:
     """LeRobot's statistics of features in an episode, or in the dataset where episodes have none."""
     try:
         chunk, file = (meta.episode(index)[f"meta/episodes/{name}_index"] for name in ("chunk", "file"))

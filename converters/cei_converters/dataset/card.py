@@ -70,7 +70,7 @@ def _listed_license(source: Source) -> list[str]:
     return [each for each in (source.license if isinstance(source.license, list) else [source.license]) if each]
 
 
-def _introduction(repo_id: str, metadata: Metadata, info: dict) -> str:
+def _introduction(repo_id: str, metadata: Metadata, info: dict[str, Any]) -> str:
     sources = _sources(metadata)
     size = f"{info['total_episodes']} episodes, {info['total_frames']} frames at {info['fps']} Hz"
     if not sources:
@@ -87,7 +87,7 @@ def _introduction(repo_id: str, metadata: Metadata, info: dict) -> str:
     return title + (f"\n\nEnvironment: `{environment.id}`." if environment.id else "")
 
 
-def _shown(metadata: Metadata, info: dict) -> str:
+def _shown(metadata: Metadata, info: dict[str, Any]) -> str:
     """The end of a sentence: which robot clouds show."""
     if schema.POINT_CLOUD not in info["features"]:
         return "."
@@ -96,7 +96,7 @@ def _shown(metadata: Metadata, info: dict) -> str:
     return ". **The point clouds still show the source robot** (`--clouds.swap=false`)."
 
 
-def _cameras(metadata: Metadata, info: dict, records: Records) -> str:
+def _cameras(metadata: Metadata, info: dict[str, Any], records: Records) -> str:
     """What the source's cameras became; empty for a recorded dataset."""
     sources = _sources(metadata)
     if not sources:
@@ -147,7 +147,7 @@ def _columns(metadata: Metadata) -> str:
     return "## Other features\n\n" + "\n\n".join(parts) if parts else ""
 
 
-def _layout(metadata: Metadata, info: dict) -> str:
+def _layout(metadata: Metadata, info: dict[str, Any]) -> str:
     features = []
     for key, feature in info["features"].items():
         shape, names, more = feature["shape"], feature.get("names"), ""
@@ -170,7 +170,7 @@ def _layout(metadata: Metadata, info: dict) -> str:
     return "\n\n".join(parts)
 
 
-def _read_by_policies(info: dict) -> str:
+def _read_by_policies(info: dict[str, Any]) -> str:
     """What policies are given, in words."""
     text = "Policies are given what begins with `observation`."
     if schema.PRIVILEGED_STATE in info["features"]:

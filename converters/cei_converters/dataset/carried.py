@@ -12,6 +12,7 @@ from cei_converters.dataset import schema
 from cei_converters.dataset.columns import decode_array, read_columns
 from cei_converters.dataset.description import Description
 from cei_converters.dataset.encoded import EncodedEpisode, encode_episode
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line
 
 OF_EVERY_DATASET = ("timestamp", "frame_index", "episode_index", "index", "task_index")
@@ -82,10 +83,10 @@ class Carried:
         tasks: of each frame, in words; None where all are the episode's.
     """
 
-    columns: Mapping[str, np.ndarray | pa.Array] = field(default_factory=dict)
+    columns: Mapping[str, Array | pa.Array] = field(default_factory=dict[str, Array | pa.Array])
     tasks: tuple[str, ...] | None = None
 
-    def at(self, frames: np.ndarray | None) -> "Carried":
+    def at(self, frames: Array | None) -> "Carried":
         """The same with frames at these indices, in this order; None changes nothing."""
         if frames is None:
             return self
@@ -109,7 +110,7 @@ class Carried:
                     f"{key} has {length} frames, where the demonstration has {frames}; what cuts one should cut the other, by `at`."
                 )
 
-    def encode(self, features: Mapping[str, dict]) -> EncodedEpisode:
+    def encode(self, features: Mapping[str, dict[str, Any]]) -> EncodedEpisode:
         """As a dataset with these features stores them."""
         numbers = {key: values for key, values in self.columns.items() if isinstance(values, np.ndarray)}
         table = encode_episode(numbers, features, "").table
@@ -125,7 +126,9 @@ def _plain(texts: Any) -> pa.Array:
     return texts.cast(pa.string()) if pa.types.is_large_string(texts.type) else texts
 
 
-def choose(features: Mapping[str, dict], used: Iterable[str]) -> tuple[dict[str, dict], dict[str, str]]:
+def choose(
+    features: Mapping[str, dict[str, Any]], used: Iterable[str]
+) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
     """Which features are carried over, and why others are not.
 
     Whether a feature depends on the robot only its name can say: that of an observation or action does, or of joints, poses
@@ -178,7 +181,7 @@ def of_episodes(meta: Description) -> dict[str, str]:
     }
 
 
-def with_objects_moved(carried: Mapping[str, dict]) -> dict[str, str]:
+def with_objects_moved(carried: Mapping[str, dict[str, Any]]) -> dict[str, str]:
     """Key to reason of what does not hold any more where objects are elsewhere."""
     reason = "may say where objects are, which are moved"
     return {
@@ -189,7 +192,7 @@ def with_objects_moved(carried: Mapping[str, dict]) -> dict[str, str]:
 
 
 def read_carried(
-    root: Path, meta: Description, index: int, features: Mapping[str, dict], tasks: Mapping[int, str]
+    root: Path, meta: Description, index: int, features: Mapping[str, dict[str, Any]], tasks: Mapping[int, str]
 ) -> Carried:
     """What is carried over of an episode.
 
@@ -240,7 +243,7 @@ def _range(numbers: Sequence[int]) -> str:
     return f"{numbers[0]} to {numbers[-1]}" if numbers else "none"
 
 
-def _values(column: pa.ChunkedArray, feature: Mapping[str, Any], where: str) -> np.ndarray | pa.Array:
+def _values(column: pa.ChunkedArray, feature: Mapping[str, Any], where: str) -> Array | pa.Array:
     if feature["dtype"] in TEXTS:
         return column.combine_chunks() if column.num_chunks != 1 else column.chunk(0)
     if column.null_count:

@@ -11,6 +11,7 @@ from cei_converters.dataset import schema
 from cei_converters.dataset.depth import MM_PER_M
 from cei_converters.dataset.description import Description
 from cei_converters.dataset.rows import read_rows
+from cei_gym.arrays import Array
 from cei_gym.channels import Channel, present
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError, one_line
@@ -18,7 +19,7 @@ from cei_gym.errors import CEIError, one_line
 MAX_DEPTH_MM = np.iinfo(np.uint16).max
 
 
-def encode(demonstration: Demonstration, state_key: str = schema.PRIVILEGED_STATE) -> dict[str, np.ndarray]:
+def encode(demonstration: Demonstration, state_key: str = schema.PRIVILEGED_STATE) -> dict[str, Array]:
     """Feature key to (T, ...) values in the stored type and unit; the state of objects goes under `state_key`."""
     return {
         schema.channel_key(name, camera, state_key): _stored(name, declared, array)
@@ -27,14 +28,14 @@ def encode(demonstration: Demonstration, state_key: str = schema.PRIVILEGED_STAT
     }
 
 
-def _stored(name: str, declared: Channel, array: np.ndarray) -> np.ndarray:
+def _stored(name: str, declared: Channel, array: Array) -> Array:
     if name == "depth_m":
         return _depth_to_mm(array)
     stored = array.astype(declared.dtype)
     return stored.reshape(len(stored), -1) if name == "point_cloud_world" else stored
 
 
-def _depth_to_mm(depth_m: np.ndarray) -> np.ndarray:
+def _depth_to_mm(depth_m: Array) -> Array:
     """(..., H, W) float metres -> (..., H, W, 1) uint16 millimetres; 0 stays "unknown".
 
     Raises:
@@ -49,7 +50,7 @@ def _depth_to_mm(depth_m: np.ndarray) -> np.ndarray:
     return depth_mm.astype(np.uint16)[..., None]
 
 
-def decode_array(column: Any, feature: Mapping[str, Any], where: str, boolean: bool = False) -> np.ndarray:
+def decode_array(column: Any, feature: Mapping[str, Any], where: str, boolean: bool = False) -> Array:
     """A list column as an array (T, *shape).
 
     Args:

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 from av.error import FFmpegError
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line
 
 
@@ -45,7 +46,7 @@ def _check_video(path: Path, _size: int, _changed_ns: int) -> float:
     return float(duration * time_base) if duration and time_base else math.inf
 
 
-def decode_frames(path: Path, times_s: np.ndarray, fps: float, *, depth: bool = False) -> np.ndarray:
+def decode_frames(path: Path, times_s: Array, fps: float, *, depth: bool = False) -> Array:
     """Frames at (T,) times as (T, 3, H, W) uint8, or of a depth video as (T, 1, H, W) uint16 codes.
 
     Raises:
@@ -64,7 +65,7 @@ def decode_frames(path: Path, times_s: np.ndarray, fps: float, *, depth: bool = 
     return frames.numpy()
 
 
-def decode_pictures(column: Any, feature: Mapping[str, Any], where: str) -> np.ndarray:
+def decode_pictures(column: Any, feature: Mapping[str, Any], where: str) -> Array:
     """A column of encoded RGB images as (T, H, W, 3) uint8.
 
     Raises:

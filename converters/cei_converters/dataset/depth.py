@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from cei_converters.dataset.decoding import decode_frames, encoded_images
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.errors import CEIError, one_line, unknown
 
@@ -45,7 +46,7 @@ def check_depth_feature(key: str, feature: Mapping[str, Any], cameras: Mapping[s
         raise unknown(f"depth_unit of {key}", unit, _UNITS)
 
 
-def image_depth_m(column: Any, feature: Mapping[str, Any], camera: Camera, where: str) -> np.ndarray:
+def image_depth_m(column: Any, feature: Mapping[str, Any], camera: Camera, where: str) -> Array:
     """A column of depth images as (T, H, W) float32 metres, 0 where unknown.
 
     Raises:
@@ -71,7 +72,7 @@ def image_depth_m(column: Any, feature: Mapping[str, Any], camera: Camera, where
     return depth_m
 
 
-def video_depth_m(path: Path, times_s: np.ndarray, fps: float, feature: Mapping[str, Any]) -> np.ndarray:
+def video_depth_m(path: Path, times_s: Array, fps: float, feature: Mapping[str, Any]) -> Array:
     """Frames of a depth video at (T,) times as (T, H, W) float32 metres, 0 where unknown.
 
     LeRobot's depth video has no "unknown": what was 0 or out of range reads as an end of the range, so both ends are.

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from cei_converters.dataset.hidden import visible
 from cei_converters.dataset.locate import read_info
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json
 
@@ -46,7 +47,7 @@ class Description:
         self.root, self._info = root, read_info(root)
         self.fps: float = self._info["fps"]
         self.total_episodes: int = self._info["total_episodes"]
-        self.features: dict[str, dict] = {
+        self.features: dict[str, dict[str, Any]] = {
             key: feature | {"shape": tuple(feature["shape"])} for key, feature in self._info["features"].items()
         }
         self.episodes = _read_episodes(root)
@@ -112,7 +113,7 @@ class Description:
         return pq.ParquetFile(self.root / TASKS_PATH).read()
 
     @cached_property
-    def statistics(self) -> dict[str, dict[str, np.ndarray]]:
+    def statistics(self) -> dict[str, dict[str, Array]]:
         """Feature to statistics of the whole dataset; empty where there are none.
 
         Raises:

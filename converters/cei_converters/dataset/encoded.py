@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from cei_converters.dataset.cameras import Clip
+from cei_gym.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -26,11 +27,11 @@ class EncodedEpisode:
     """
 
     table: pa.Table
-    statistics: Mapping[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    statistics: Mapping[str, dict[str, Array]] = field(default_factory=dict[str, dict[str, Array]])
     task: str = ""
     tasks: Sequence[str] | None = None
-    clips: Mapping[str, Clip] = field(default_factory=dict)
-    videos: Mapping[str, bytes] = field(default_factory=dict)
+    clips: Mapping[str, Clip] = field(default_factory=dict[str, Clip])
+    videos: Mapping[str, bytes] = field(default_factory=dict[str, bytes])
 
     def joined(self, other: "EncodedEpisode") -> "EncodedEpisode":
         """This one with another's features of the same frames; what it shows stays, but for frames that the other knows more of."""
@@ -47,7 +48,7 @@ class EncodedEpisode:
         )
 
 
-def encode_episode(columns: Mapping[str, np.ndarray], features: Mapping[str, dict], task: str) -> EncodedEpisode:
+def encode_episode(columns: Mapping[str, Array], features: Mapping[str, dict[str, Any]], task: str) -> EncodedEpisode:
     """Values as a dataset stores them. Of numbers in rows this needs nothing of LeRobot's, whose import takes long.
 
     Args:
@@ -61,7 +62,7 @@ def encode_episode(columns: Mapping[str, np.ndarray], features: Mapping[str, dic
     return EncodedEpisode(table, {key: image_statistics(columns[key], each) for key, each in images.items()}, task)
 
 
-def _arrow(values: np.ndarray, feature: Mapping[str, Any]) -> pa.Array:
+def _arrow(values: Array, feature: Mapping[str, Any]) -> pa.Array:
     """As `datasets` has them by LeRobot's features, those of several dimensions as plain lists of lists, which a writer casts."""
     if feature["dtype"] == "image":
         return encode_images(values)
@@ -74,7 +75,7 @@ def _arrow(values: np.ndarray, feature: Mapping[str, Any]) -> pa.Array:
     return numpy_to_pyarrow_listarray(values.reshape(len(values), *shape))
 
 
-def image_statistics(values: np.ndarray, feature: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def image_statistics(values: Array, feature: Mapping[str, Any]) -> dict[str, Array]:
     """As LeRobot's `compute_episode_stats`, which reads images from files."""
     from lerobot.datasets.compute_stats import auto_downsample_height_width, get_feature_stats, sample_indices
 
@@ -85,7 +86,7 @@ def image_statistics(values: np.ndarray, feature: Mapping[str, Any]) -> dict[str
     return {name: value if name == "count" else value[0] / largest for name, value in stats.items()}
 
 
-def encode_images(images: np.ndarray) -> pa.Array:
+def encode_images(images: Array) -> pa.Array:
     """(T, H, W, 1) depth as LeRobot's TIFF, (T, H, W, 3) pictures as its PNG, in the cells of `datasets.Image`."""
     from datasets import Image
     from lerobot.datasets.image_writer import image_array_to_pil_image, save_kwargs_for_path

@@ -16,6 +16,7 @@ from cei_converters.dataset.columns import decode_array
 from cei_converters.dataset.encoded import EncodedEpisode, encode_episode
 from cei_converters.dataset.schema import POINT_CLOUD
 from cei_converters.dataset.video_files import VideoFiles
+from cei_gym.arrays import Array
 
 _MB = 1024**2
 _WITHOUT_STATISTICS = ("image", "video", "string", "language")
@@ -39,7 +40,7 @@ class EpisodeWriter:
         root: Path,
         *,
         fps: float,
-        features: dict[str, dict],
+        features: dict[str, dict[str, Any]],
         robot_type: str,
         tasks: Sequence[str] = (),
     ) -> None:
@@ -114,7 +115,7 @@ class EpisodeWriter:
         ]
         return pa.Table.from_arrays(cast, schema=self._schema)
 
-    def _statistics(self, columns: Mapping[str, Any]) -> dict[str, dict[str, np.ndarray]]:
+    def _statistics(self, columns: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
         """LeRobot's statistics of columns of numbers, but for clouds: those of the 3072 entries of a flat one say nothing, and LeRobot
         would keep 220 kB of them an episode."""
         found = {}
@@ -168,7 +169,7 @@ class EpisodeWriter:
             self._file = None
 
 
-def _number_statistics(values: np.ndarray) -> dict[str, np.ndarray]:
+def _number_statistics(values: Array) -> dict[str, Array]:
     """As LeRobot's `compute_episode_stats`."""
     from lerobot.datasets.compute_stats import get_feature_stats
 

@@ -45,7 +45,7 @@ def difference(one: Metadata, other: Metadata) -> str:
     return " and ".join(name for name in ours if name != "format_version" and ours[name] != theirs[name])
 
 
-def with_essentials(features: Mapping[str, dict], metadata: Metadata) -> dict[str, dict]:
+def with_essentials(features: Mapping[str, dict[str, Any]], metadata: Metadata) -> dict[str, dict[str, Any]]:
     """Features that have them."""
     carried = {KEY: essentials(metadata)}
     return {

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 
@@ -31,7 +32,7 @@ def digests(root: Path, meta: Description, keys: Sequence[str] = KEYS) -> list[s
     ]
 
 
-def digest(rows: pa.Table, features: Mapping[str, dict], where: str, keys: Iterable[str] = KEYS) -> str:
+def digest(rows: pa.Table, features: Mapping[str, dict[str, Any]], where: str, keys: Iterable[str] = KEYS) -> str:
     """16 hexadecimal digits of an episode's joints, as float32, in whatever type columns store them.
 
     Args:

@@ -10,6 +10,7 @@ import numpy as np
 from cei_converters.dataset.hidden import link_visible
 from cei_converters.dataset.home import lerobot_home
 from cei_converters.dataset.license import CARD_PATH, copy_license_files, own_file
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line
 
 VERSIONS = ("v2.0", "v2.1")
@@ -109,7 +110,7 @@ def _write_statistics(staged: Path, info: dict[str, Any]) -> None:
             file.write(json.dumps({"episode_index": index, "stats": plain}) + "\n")
 
 
-def _statistics(staged: Path, path: Path, index: int, info: dict[str, Any]) -> dict[str, dict[str, np.ndarray]]:
+def _statistics(staged: Path, path: Path, index: int, info: dict[str, Any]) -> dict[str, dict[str, Array]]:
     import pyarrow.parquet as pq
     from lerobot.datasets.compute_stats import (
         DEFAULT_QUANTILES,

@@ -2,6 +2,7 @@
 
 import contextlib
 from pathlib import Path
+from typing import Any
 
 from cei_converters.dataset.home import CODEBASE_VERSION, lerobot_home
 from cei_converters.dataset.hub import check_repo_id
@@ -85,7 +86,7 @@ def _cached_or_downloaded(repo_id: str, revision: str | None) -> Path:
         ) from error
 
 
-def read_info(root: Path) -> dict:
+def read_info(root: Path) -> dict[str, Any]:
     """`meta/info.json` as a dict.
 
     Raises:

@@ -13,6 +13,7 @@ import draccus
 import numpy as np
 from draccus.utils import DraccusException
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json
@@ -46,7 +47,7 @@ class Environment:
     """The gymnasium environment that an episode replays in."""
 
     id: str | None = None
-    kwargs: dict[str, Any] = field(default_factory=dict)
+    kwargs: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Source:
     license_link: str | None = None
     depth_cameras: tuple[str, ...] = ()  # those whose depth became clouds
     carried: tuple[str, ...] = ()  # features that were carried over as they are
-    dropped: dict[str, str] = field(default_factory=dict)  # features that were not, and why
+    dropped: dict[str, str] = field(default_factory=dict[str, str])  # features that were not, and why
 
 
 @dataclass(frozen=True)
@@ -71,11 +72,13 @@ class Provenance:
     """How a dataset came about; see `cei_converters.dataset.provenance.collect`."""
 
     source: Source | None = None
-    options: dict[str, Any] = field(default_factory=dict)
-    inputs: dict[str, str] = field(default_factory=dict)  # what else it is made of, to its fingerprint
-    pads: dict[str, Any] = field(default_factory=dict)
-    notes: dict[str, list[str]] = field(default_factory=dict)  # what was assumed or left out of robots' descriptions
-    versions: dict[str, str] = field(default_factory=dict)
+    options: dict[str, Any] = field(default_factory=dict[str, Any])
+    inputs: dict[str, str] = field(default_factory=dict[str, str])  # what else it is made of, to its fingerprint
+    pads: dict[str, Any] = field(default_factory=dict[str, Any])
+    notes: dict[str, list[str]] = field(
+        default_factory=dict[str, list[str]]
+    )  # what was assumed or left out of robots' descriptions
+    versions: dict[str, str] = field(default_factory=dict[str, str])
     git_commit: str | None = None
     date: str = ""
     command: str = ""
@@ -238,7 +241,7 @@ def check_scene(scene: Scene, where: str) -> None:
             raise CEIError(f"{place}: size {camera.width}x{camera.height} should be positive.")
 
 
-def _check_pose(T: np.ndarray, where: str) -> None:
+def _check_pose(T: Array, where: str) -> None:
     rigid = (
         T.shape == (4, 4)
         and np.isfinite(T).all()
@@ -250,7 +253,7 @@ def _check_pose(T: np.ndarray, where: str) -> None:
         raise CEIError(f"{where} should be a 4x4 rigid transform [[R, t], [0, 0, 0, 1]].")
 
 
-def _decode_array(raw: object, _path: object) -> np.ndarray:
+def _decode_array(raw: object, _path: object) -> Array:
     return np.asarray(raw, dtype=np.float64)
 
 

@@ -6,11 +6,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.encoded import EncodedEpisode, encode_images, image_statistics
+from cei_gym.arrays import Array
 
 VIDEO_ENCODER = "lerobot.datasets.video_utils"
 """What encodes videos, and takes six seconds to import."""
@@ -45,7 +45,7 @@ def encode_pictures(pictures: Pictures, fps: float, scratch: Path) -> EncodedEpi
     return EncodedEpisode(pa.table(columns), statistics, clips=clips, videos=videos)
 
 
-def _video(pictures: np.ndarray, feature: Mapping[str, Any], fps: float, scratch: Path) -> bytes:
+def _video(pictures: Array, feature: Mapping[str, Any], fps: float, scratch: Path) -> bytes:
     """(T, H, W, 3) uint8 pictures as an MP4 file, encoded as others of the feature are."""
     from lerobot.configs.video import encoder_config_from_video_info, rgb_encoder_defaults
     from lerobot.datasets.image_writer import write_image

@@ -9,6 +9,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from cei_gym.arrays import Array
+
 EPISODE = "episode_index"
 
 
@@ -49,7 +51,7 @@ def _read_shared(path: Path, changed_ns: int, groups: tuple[int, ...], columns: 
 
 
 @lru_cache(maxsize=2)
-def _row_groups(path: Path, _size: int, _changed_ns: int) -> tuple[pq.FileMetaData, np.ndarray, np.ndarray]:
+def _row_groups(path: Path, _size: int, _changed_ns: int) -> tuple[pq.FileMetaData, Array, Array]:
     """What a file says of itself, and the first and last episode of each row group."""
     footer = pq.read_metadata(path)
     fields = {field.name: field.type for field in footer.schema.to_arrow_schema()}

@@ -124,7 +124,7 @@ def _flat(names: object, group: str, deeper: int) -> list[tuple[str, str]]:
     return [found for item in names for found in ([(group, "")] if item is None else _flat(item, group, deeper - 1))]
 
 
-def cloud_feature(points: int, columns: int) -> dict:
+def cloud_feature(points: int, columns: int) -> dict[str, Any]:
     """LeRobot's feature of point clouds: flat, since its tools fail on arrays of two dimensions, and `info` says their layout."""
     names = ["x_m", "y_m", "z_m", *["r", "g", "b"][: columns - 3]]
     layout = {"shape": [points, columns], "columns": names, "frame": "world"}
@@ -175,7 +175,7 @@ def sensors(features: Mapping[str, Mapping[str, object]]) -> dict[str, str]:
 
 def features(
     embodiment: Embodiment, demonstration: Demonstration, state_key: str = PRIVILEGED_STATE
-) -> dict[str, dict]:
+) -> dict[str, dict[str, Any]]:
     """LeRobot features for demonstrations that carry the same channels as the given one.
 
     Args:
@@ -193,7 +193,7 @@ def features(
     }
 
 
-def _feature(name: str, declared: Channel, shape: tuple[int, ...], names: list[str]) -> dict:
+def _feature(name: str, declared: Channel, shape: tuple[int, ...], names: list[str]) -> dict[str, Any]:
     """LeRobot's feature of a channel's array, whose frames have this shape."""
     pictures = {"dtype": "image", "names": ["height", "width", "channels"]}  # lossless: colours at edges go with depth
     match name:

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 from cei_converters.dataset import schema
 from cei_converters.dataset.hidden import visible
 from cei_converters.dataset.metadata import restore_with
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line
 
 SAME_RAD = 0.25
@@ -18,7 +19,7 @@ SAME_RAD = 0.25
 _FRAME = "frame_index"
 
 
-def middle(starts: Sequence[Sequence[float]] | np.ndarray) -> list[float]:
+def middle(starts: Sequence[Sequence[float]] | Array) -> list[float]:
     """Choose what environments start at from the starts (k, n) of one motion."""
     return np.round(np.median(starts, axis=0), 4).tolist()
 
@@ -32,7 +33,7 @@ def find_starts(root: Path) -> list[list[float]]:
     Raises:
         CEIError: it has no joint positions, or they cannot be read.
     """
-    motions: list[list[np.ndarray]] = []
+    motions: list[list[Array]] = []
     for start in _first_states(root):  # by their first: all pairs of ten thousand would take a gigabyte
         near = (motion for motion in motions if np.abs(motion[0] - start).max() < SAME_RAD)
         found = next(near, None)
@@ -42,7 +43,7 @@ def find_starts(root: Path) -> list[list[float]]:
     return [middle(np.array(motion)) for motion in motions]
 
 
-def _first_states(root: Path) -> np.ndarray:
+def _first_states(root: Path) -> Array:
     """(episodes, n) joint positions of each episode's first frame, as they are stored."""
     found = []
     try:

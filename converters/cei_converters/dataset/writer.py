@@ -46,7 +46,7 @@ class Header:
     embodiment: str
     fps: float
     scene: Scene
-    features: dict[str, dict]
+    features: dict[str, dict[str, Any]]
 
     @classmethod
     def of(cls, demonstration: Demonstration, state_key: str = schema.PRIVILEGED_STATE) -> Self:
@@ -88,8 +88,8 @@ class DatasetWriter:
         clouds: dict[str, Any] | None = None,
         provenance: Provenance | None = None,
         state_key: str = schema.PRIVILEGED_STATE,
-        cameras: Mapping[str, dict] | None = None,
-        carried: Mapping[str, dict] | None = None,
+        cameras: Mapping[str, dict[str, Any]] | None = None,
+        carried: Mapping[str, dict[str, Any]] | None = None,
         tasks: Sequence[str] = (),
         partial: Path | None = None,
     ) -> None:
@@ -234,7 +234,7 @@ def _check_same(first: Header, other: Header, where: str) -> None:
             raise CEIError(f"{where}: {key} has shape {got} but the dataset's is {expected}.")
 
 
-def _shape(feature: dict | None) -> list[int] | None:
+def _shape(feature: dict[str, Any] | None) -> list[int] | None:
     """A feature's shape, that which it lies flat of where it does."""
     return None if feature is None else (feature.get("info") or {}).get("shape") or [*feature["shape"]]
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from cei_converters.dataset import schema
 from cei_converters.sources.recording import Recordings
+from cei_gym.arrays import Array
 
 DEGREES, TICKS, RADIANS, HUNDRED, PERCENT = "deg", "ticks", "rad", "deg or -100..100", "0..100"
 _MOST_LAG = 10  # frames
@@ -57,7 +58,7 @@ def look_at(recordings: Recordings) -> list[Column]:
     return [_column(recordings, i, unit) for i, unit in enumerate(units)]
 
 
-def finite(recordings: Recordings, i: int) -> np.ndarray:
+def finite(recordings: Recordings, i: int) -> Array:
     """All finite values of a column."""
     values = np.concatenate([recording.state[:, i] for recording in recordings.episodes])
     return values[np.isfinite(values)]
@@ -79,7 +80,7 @@ def _column(recordings: Recordings, i: int, unit: str) -> Column:
     return Column(name, least, largest, fastest, count - len(values), least == largest, unit, _lag(recordings, i))
 
 
-def _units(values: Sequence[np.ndarray], names: Sequence[str]) -> list[str]:
+def _units(values: Sequence[Array], names: Sequence[str]) -> list[str]:
     """What each column's numbers look like. Those of one recorder are of one kind: more than 100 anywhere says degrees of all."""
     largest = [float(np.abs(v).max(initial=0.0)) for v in values]
     whole = [bool(len(v)) and bool((v == np.rint(v)).all()) for v in values]

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cei_converters.sources.recording import Recording, Recordings
+from cei_gym.arrays import Array
 
 _TURN_RAD, _TURN_DEG = 2 * np.pi, 360.0
 _LONGEST_GAP = 3  # frames of zeros
@@ -70,7 +71,7 @@ def _by_time(recording: Recording, fps: float | None) -> Iterator[str]:
         )
 
 
-def _shuffled(state: np.ndarray) -> str:
+def _shuffled(state: Array) -> str:
     steps, extents = np.abs(np.diff(state, axis=0)).mean(axis=0), np.ptp(state, axis=0)
     share = float(np.median(steps / extents))
     if len(state) < 20 or share < _SHUFFLED:
@@ -81,7 +82,7 @@ def _shuffled(state: np.ndarray) -> str:
     )
 
 
-def _zeros(state: np.ndarray, names: list[str]) -> Iterator[str]:
+def _zeros(state: Array, names: list[str]) -> Iterator[str]:
     """A few frames of exact zeros, where what is before and after is alike and far from zero."""
     usual = np.quantile(np.abs(np.diff(state, axis=0)), 0.9, axis=0)
     gone = state == 0
@@ -104,7 +105,7 @@ def _zeros(state: np.ndarray, names: list[str]) -> Iterator[str]:
                 yield f", frame {start}: {name} is 0 there{_long(start, end)}, {_before(state[start - 1], state[end], i, names)}."
 
 
-def _before(before: np.ndarray, after: np.ndarray, i: int, names: list[str]) -> str:
+def _before(before: Array, after: Array, i: int, names: list[str]) -> str:
     return f"with {names[i]} at {before[i]:.4g} before and {after[i]:.4g} after"
 
 
@@ -112,13 +113,13 @@ def _long(start: int, end: int) -> str:
     return f" and in the next {end - start - 1}" if end - start > 1 else ""
 
 
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+def _runs(flags: Array) -> list[tuple[int, int]]:
     """Start and end (not with) of each run of true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def _turns(state: np.ndarray, names: list[str]) -> Iterator[str]:
+def _turns(state: Array, names: list[str]) -> Iterator[str]:
     """Steps of a whole turn: an angle that was taken modulo one."""
     steps = np.diff(state, axis=0)
     for i, name in enumerate(names):
@@ -132,7 +133,7 @@ def _turns(state: np.ndarray, names: list[str]) -> Iterator[str]:
             )
 
 
-def _repeated(state: np.ndarray) -> Iterator[str]:
+def _repeated(state: Array) -> Iterator[str]:
     """A frame that is the last one over again, in the middle of motion."""
     moved = np.abs(np.diff(state, axis=0)).sum(axis=1)
     usual = np.median(moved)

@@ -61,7 +61,7 @@ class Proposal:
     """A joint map as plain values, or None, and what is in doubt, one sentence each."""
 
     joint_map: dict[str, Any] | None
-    doubts: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list[str])
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
 from cei_gym.environment import robot_environment
 
@@ -23,7 +24,7 @@ def record_episode(
     """
     expert = robot_environment(env).expert(seed, variation)
 
-    def policy(observation: dict[str, np.ndarray]) -> Iterable[np.ndarray]:
+    def policy(observation: dict[str, Array]) -> Iterable[Array]:
         targets = expert.plan(observation["agent_pos"], observation["environment_state"]).astype(np.float32)
         return np.concatenate([targets, np.repeat(targets[-1:], HOLD_STEPS, axis=0)])
 
@@ -32,7 +33,7 @@ def record_episode(
 
 
 def roll_out(
-    env: gym.Env, seed: int, policy: Callable[[dict[str, np.ndarray]], Iterable[np.ndarray]]
+    env: gym.Env, seed: int, policy: Callable[[dict[str, Array]], Iterable[Array]]
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """One episode, which ends with success, at the time limit, or with the actions.
 

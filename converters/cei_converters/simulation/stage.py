@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from cei_converters.simulation.rollout import HOLD_STEPS
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class Stage:
         """Name of the robot in it."""
         return self.env.get_wrapper_attr("embodiment").name
 
-    def play(self, demonstration: "Demonstration", filmed: bool = False) -> tuple[dict[str, Any], list[np.ndarray]]:
+    def play(self, demonstration: "Demonstration", filmed: bool = False) -> tuple[dict[str, Any], list[Array]]:
         """Execute a demonstration's actions from its recorded start, the last one held for a success to show.
 
         Returns:
@@ -54,7 +55,7 @@ class Stage:
         env = self.env
         start = {"environment_state": demonstration.environment_state[0], "agent_pos": demonstration.qpos[0]}
         _, info = env.reset(seed=demonstration.index, options=start)
-        pictures: list = [env.render()] if filmed else []
+        pictures: list[Any] = [env.render()] if filmed else []
         steps = 0
         for action in [*demonstration.action, *[demonstration.action[-1]] * HOLD_STEPS]:
             _, _, terminated, truncated, info = env.step(action.astype(np.float32))

@@ -7,10 +7,12 @@ import av
 import numpy as np
 from PIL import Image, ImageDraw
 
+from cei_gym.arrays import Array
+
 GAP_PX = 4
 
 
-def write_video(path: Path, frames: Iterable[np.ndarray], fps: int) -> None:
+def write_video(path: Path, frames: Iterable[Array], fps: int) -> None:
     """Write RGB frames (H, W, 3) uint8, all of one even size, as MP4 that browsers play."""
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=fps, options={"crf": "23", "preset": "veryfast"})
@@ -21,7 +23,7 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: int) -> None:
         container.mux(stream.encode())
 
 
-def side_by_side(views: Sequence[Sequence[np.ndarray]], labels: Sequence[str]) -> list[np.ndarray]:
+def side_by_side(views: Sequence[Sequence[Array]], labels: Sequence[str]) -> list[Array]:
     """Frames with one view beside the other, labelled; a view that ends early keeps its last frame."""
     length = max(len(view) for view in views)
     rows = []
@@ -35,7 +37,7 @@ def side_by_side(views: Sequence[Sequence[np.ndarray]], labels: Sequence[str]) -
     return rows
 
 
-def label_picture(picture: np.ndarray, text: str) -> np.ndarray:
+def label_picture(picture: Array, text: str) -> Array:
     """A copy of a picture with a line of text in its upper left corner."""
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
@@ -44,7 +46,7 @@ def label_picture(picture: np.ndarray, text: str) -> np.ndarray:
     return np.asarray(image)
 
 
-def contact_sheet(views: Sequence[Sequence[np.ndarray]], labels: Sequence[str], columns: int = 6) -> np.ndarray:
+def contact_sheet(views: Sequence[Sequence[Array]], labels: Sequence[str], columns: int = 6) -> Array:
     """One row a view, `columns` moments from start to end."""
     rows = []
     for view, text in zip(views, labels, strict=True):

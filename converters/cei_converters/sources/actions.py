@@ -28,6 +28,7 @@ from cei_converters.sources.joint_map import (
     ActionMap,
     JointMap,
 )
+from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError, unknown
 
@@ -50,24 +51,24 @@ class BoundActions:
     embodiment: Embodiment
     feature: str
     kinds: tuple[str, ...]
-    column: np.ndarray
-    scale: np.ndarray
-    offset: np.ndarray
+    column: Array
+    scale: Array
+    offset: Array
     as_it_is: bool = False
 
-    def relative(self, values: np.ndarray) -> np.ndarray:
+    def relative(self, values: Array) -> Array:
         """(T, k) columns to (T, m) in rad or m, as far as that can be without knowing where zero is."""
         return values[:, self.column] * self.scale
 
-    def absolute(self, values: np.ndarray) -> np.ndarray:
+    def absolute(self, values: Array) -> Array:
         """(T, k) columns to (T, m) in rad or m."""
         return self.relative(values) + self.offset
 
-    def of_kind(self, kind: str) -> np.ndarray:
+    def of_kind(self, kind: str) -> Array:
         """(m,) which joints' actions are of a kind."""
         return np.array([each == kind for each in self.kinds])
 
-    def targets(self, values: np.ndarray, qpos: np.ndarray, fps: float) -> np.ndarray:
+    def targets(self, values: Array, qpos: Array, fps: float) -> Array:
         """Targets, those by a map within the joints' limits: servos that are sent past them stop there.
 
         Args:
@@ -95,7 +96,7 @@ class BoundActions:
             targets = np.clip(targets, *body.independent_limits)
         return body.coupled.expand(targets)
 
-    def _opened(self, command: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    def _opened(self, command: Array, ahead: Array) -> Array:
         """Where each joint is told to be; what is told neither stays told what it was before."""
         told = np.sign(np.where(np.abs(command) < _UNDECIDED, 0.0, command))
         last = np.maximum.accumulate(np.where(told != 0, np.arange(len(told))[:, None], -1), axis=0)

@@ -7,6 +7,7 @@ import numpy as np
 
 from cei_converters.sources.joint_map import SI, JointGroup, JointMap
 from cei_converters.sources.pose import PoseMap, Span
+from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError, unknown
 
@@ -29,13 +30,13 @@ class BoundJointMap:
     """
 
     embodiment: Embodiment
-    column: np.ndarray
-    scale: np.ndarray
-    offset: np.ndarray
+    column: Array
+    scale: Array
+    offset: Array
     pose: PoseMap | None = None
-    pose_columns: np.ndarray = field(default_factory=lambda: np.array([], int))
+    pose_columns: Array = field(default_factory=lambda: np.array([], int))
 
-    def qpos(self, values: np.ndarray) -> np.ndarray:
+    def qpos(self, values: Array) -> Array:
         """(T, k) columns to (T, n) joint positions, rad or m; of the arm only what is recorded."""
         return self.embodiment.coupled.expand(values[:, self.column] * self.scale + self.offset)
 

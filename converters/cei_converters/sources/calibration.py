@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cei_converters.dataset.metadata import check_scene
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera, Scene
 from cei_gym.errors import CEIError, one_line, unknown
 from cei_gym.untrusted import load_yaml
@@ -36,8 +37,8 @@ class Calibration:
     """
 
     cameras: tuple[Camera, ...] = ()
-    workspace_world: np.ndarray | None = None
-    T_world_base: np.ndarray | None = None
+    workspace_world: Array | None = None
+    T_world_base: Array | None = None
 
     def over(self, scene: Scene) -> Scene:
         """A scene with what the file says in place of its own; cameras that the file does not name stay."""
@@ -88,7 +89,7 @@ def _camera(name: str, raw: object, where: str) -> Camera:
     return Camera(name, fields["width"], fields["height"], K, T)
 
 
-def _intrinsics(raw: object, where: str) -> np.ndarray:
+def _intrinsics(raw: object, where: str) -> Array:
     """(3, 3), from rows or from fx, fy, cx, cy."""
     if not isinstance(raw, dict):
         return _array(raw, where)
@@ -97,7 +98,7 @@ def _intrinsics(raw: object, where: str) -> np.ndarray:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
-def _pose(raw: object, where: str) -> np.ndarray:
+def _pose(raw: object, where: str) -> Array:
     """(4, 4), from rows or from a position and a quaternion."""
     if not isinstance(raw, dict):
         return _array(raw, where)
@@ -127,7 +128,7 @@ def _mapping(raw: object, where: str, valid: Iterable[str], required: Iterable[s
     return raw
 
 
-def _array(raw: object, where: str, shape: tuple[int, ...] | None = None) -> np.ndarray:
+def _array(raw: object, where: str, shape: tuple[int, ...] | None = None) -> Array:
     """Finite numbers, of a shape if one is given."""
     try:
         array = np.array(np.nan) if _has_other(raw) else np.asarray(raw, dtype=float)

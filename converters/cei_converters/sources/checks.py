@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 
 LEAST_FRAMES = 12
@@ -20,7 +21,7 @@ def likely_unit(unit: str, extent: float) -> str:
     return "degrees; convert to rad, or say so in a joint map, by unit: deg"
 
 
-def check_finite(values: np.ndarray, where: str, key: str, names: Sequence[str]) -> None:
+def check_finite(values: Array, where: str, key: str, names: Sequence[str]) -> None:
     """Refuse (T, N) values that are no numbers, with the first such frame and column.
 
     Raises:
@@ -35,7 +36,7 @@ def check_finite(values: np.ndarray, where: str, key: str, names: Sequence[str])
         )
 
 
-def check_cloud(cloud: np.ndarray, frames: int, where: str) -> np.ndarray:
+def check_cloud(cloud: Array, frames: int, where: str) -> Array:
     """Checked (T, P, 3 or 6) float32 points, colours from 0-255 to [0, 1] where that is what they are.
 
     Raises:

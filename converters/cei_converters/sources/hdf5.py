@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json
 
@@ -91,7 +92,7 @@ def dataset_at(group: h5py.Group, name: str, path: Path) -> h5py.Dataset | None:
     return found
 
 
-def read(data: h5py.Dataset, path: Path) -> np.ndarray:
+def read(data: h5py.Dataset, path: Path) -> Array:
     """All values of a dataset of numbers.
 
     Raises:

@@ -91,13 +91,13 @@ class JointMap:
         ignore: columns that are no joints, or "rest".
     """
 
-    joints: list[JointGroup] = field(default_factory=list)
+    joints: list[JointGroup] = field(default_factory=list[JointGroup])
     embodiment: str | None = None
     state: str = "observation.state"
     action: ActionMap | str | None = OF_THE_FORMAT
     fps: float | None = None
     pose: PoseMap | None = None
-    fixed: dict[str, float] = field(default_factory=dict)
+    fixed: dict[str, float] = field(default_factory=dict[str, float])
     ignore: list[str] | str = field(default_factory=list)
 
 

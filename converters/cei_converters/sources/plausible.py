@@ -7,6 +7,7 @@ import numpy as np
 from cei_converters.sources.actions import BoundActions
 from cei_converters.sources.binding import independent_joints, n_arm
 from cei_converters.sources.joint_map import ABSOLUTE, DELTA, OPEN_CLOSE, VELOCITY
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 
 _LEAST_FRAMES = 8
@@ -34,7 +35,7 @@ class _Fit:
     share: float
 
 
-def check_actions(actions: BoundActions, values: np.ndarray, qpos: np.ndarray, fps: float, where: str) -> None:
+def check_actions(actions: BoundActions, values: Array, qpos: Array, fps: float, where: str) -> None:
     """Refuse actions that are of another kind, unit, sign or column than they are said to be.
 
     Only what contradicts is refused: data that say nothing (too short, at rest) pass.
@@ -68,10 +69,10 @@ def check_actions(actions: BoundActions, values: np.ndarray, qpos: np.ndarray, f
 def _check_kind(
     kind: str,
     actions: BoundActions,
-    r: np.ndarray,
-    a: np.ndarray,
-    u: np.ndarray,
-    joints: np.ndarray,
+    r: Array,
+    a: Array,
+    u: Array,
+    joints: Array,
     fps: float,
     where: str,
 ) -> None:
@@ -120,7 +121,7 @@ def _check_kind(
         )
 
 
-def _goes_with(r: np.ndarray, u: np.ndarray) -> float | None:
+def _goes_with(r: Array, u: Array) -> float | None:
     """Correlation of what is stored with what joints then do for a while, in the middle of those that move; None if none does."""
     if len(u) < 3 * _WHILE:
         return None
@@ -129,14 +130,12 @@ def _goes_with(r: np.ndarray, u: np.ndarray) -> float | None:
     return float(np.median([np.corrcoef(r[:, j], ahead[:, j])[0, 1] for j in moving])) if len(moving) else None
 
 
-def _times(r: np.ndarray, change: np.ndarray) -> float | None:
+def _times(r: Array, change: Array) -> float | None:
     """How many times the joints' change a frame what is stored is, in the least squares; None where they rest."""
     return float((r * change).sum() / (change**2).sum()) if np.abs(change).mean() > _RESTS else None
 
 
-def _check_each(
-    actions: BoundActions, a: np.ndarray, u: np.ndarray, absolute: np.ndarray, is_arm: np.ndarray, where: str
-) -> str:
+def _check_each(actions: BoundActions, a: Array, u: Array, absolute: Array, is_arm: Array, where: str) -> str:
     """Joint by joint: targets that follow the joint in another unit, sign or column. Returns what is to be said if most follow nothing."""
     body, names = actions.embodiment, independent_joints(actions.embodiment)
     lower, upper = body.independent_limits
@@ -180,7 +179,7 @@ def _check_each(
     return ""
 
 
-def _beyond(a: np.ndarray, lower: float, upper: float) -> bool:
+def _beyond(a: Array, lower: float, upper: float) -> bool:
     """Whether targets are often far beyond a joint's limits, and not just at two ends, as a command to open and close is."""
     slack = 0.5 * (upper - lower)
     outside = (a < lower - slack) | (a > upper + slack)
@@ -196,7 +195,7 @@ def _group(fit: _Fit, lower: float, upper: float) -> str:
     return f"unit: normalised, range: [{ends}]"
 
 
-def _check_fingers(actions: BoundActions, values: np.ndarray, u: np.ndarray, fingers: np.ndarray, where: str) -> None:
+def _check_fingers(actions: BoundActions, values: Array, u: Array, fingers: Array, where: str) -> None:
     """Fingers that move away from where they are told to be."""
     body, names = actions.embodiment, independent_joints(actions.embodiment)
     home, closed = body.coupled.reduce(body.home), body.coupled.reduce(body.closed)
@@ -228,12 +227,12 @@ def _check_fingers(actions: BoundActions, values: np.ndarray, u: np.ndarray, fin
             )
 
 
-def _typical(off: np.ndarray) -> float:
+def _typical(off: Array) -> float:
     """The mean over joints, in the middle of all frames: an arm that has yet to find its leader, at first, is no matter."""
     return float(np.median(np.abs(off).mean(axis=1)))
 
 
-def _follows(a: np.ndarray, then: np.ndarray) -> bool:
+def _follows(a: Array, then: Array) -> bool:
     """Whether targets are those of a joint that moves like this."""
     fit, extent = _lagged(then, a), float(np.ptp(then))
     return (
@@ -243,13 +242,13 @@ def _follows(a: np.ndarray, then: np.ndarray) -> bool:
     )
 
 
-def _lagged(then: np.ndarray, a: np.ndarray) -> _Fit:
+def _lagged(then: Array, a: Array) -> _Fit:
     """The best fit of targets over positions, as many frames later as it takes."""
     fits = (_fit(then[lag:], a[: len(a) - lag]) for lag in range(_WHILE))
     return max(fits, key=lambda fit: fit.share)
 
 
-def _fit(x: np.ndarray, y: np.ndarray) -> _Fit:
+def _fit(x: Array, y: Array) -> _Fit:
     if x.std() == 0 or y.std() == 0:
         return _Fit(0.0, float(y.mean()), 0.0)
     slope, shift = np.polyfit(x, y, 1)

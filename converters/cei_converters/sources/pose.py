@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, unknown
 
 FORMAT = """where a dataset has the end-effector's pose instead of the arm's joints, its joint map has
@@ -72,7 +73,7 @@ class PoseMap:
         ):
             raise CEIError(f"{where}: pose: tool needs a position (3, m) and a quaternion_wxyz of length 1.")
 
-    def T_base_link(self, values: np.ndarray, T_world_base: np.ndarray, where: str) -> np.ndarray:
+    def T_base_link(self, values: Array, T_world_base: Array, where: str) -> Array:
         """(T, k) columns to (T, 4, 4) poses of the link in the robot's base frame, m.
 
         Raises:
@@ -88,7 +89,7 @@ class PoseMap:
         T_link_tool[:3, :3] = Rotation.from_quat(self.tool.quaternion_wxyz, scalar_first=True).as_matrix()
         return T @ np.linalg.inv(T_link_tool)
 
-    def _rotations(self, values: np.ndarray, where: str) -> np.ndarray:
+    def _rotations(self, values: Array, where: str) -> Array:
         if self.rotation in _QUATERNIONS:
             length = np.linalg.norm(values, axis=1)
             if (bad := np.flatnonzero(~np.isclose(length, 1, atol=1e-2))).size:

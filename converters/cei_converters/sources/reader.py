@@ -26,6 +26,7 @@ from cei_converters.sources.joint_map import ActionMap, JointMap
 from cei_converters.sources.recording import Recording, Recordings, spread
 from cei_converters.sources.scene import scene_without_metadata, table_from
 from cei_converters.sources.source import Source
+from cei_gym.arrays import Array
 from cei_gym.channels import OnTransfer, channels
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.errors import CEIError
@@ -57,7 +58,7 @@ class DatasetReader(Source):
         root: str | Path | None = None,
         *,
         embodiment: str | None = None,
-        T_world_base: np.ndarray | None = None,
+        T_world_base: Array | None = None,
         calibration: Calibration | None = None,
         joint_map: JointMap | None = None,
         joints_only: bool = False,
@@ -269,13 +270,13 @@ class DatasetReader(Source):
         """See `Source.carries`."""
         return super().carries or len(self._tasks) > 1
 
-    def masks(self, index: int) -> dict[str, np.ndarray]:
+    def masks(self, index: int) -> dict[str, Array]:
         """See `Source.masks`."""
         images = [key for key in self._masks.values() if key in self._meta.image_keys]
         table = read_columns(self.root, self._meta, index, ["timestamp", *images])
         return {name: self._pictures(index, key, table).max(-1) > BRIGHT for name, key in self._masks.items()}
 
-    def _pictures(self, index: int, key: str, table: Any) -> np.ndarray:
+    def _pictures(self, index: int, key: str, table: Any) -> Array:
         """(T, H, W, 3) uint8."""
         feature = self._meta.features[key]
         if feature["dtype"] == "image":
@@ -283,7 +284,7 @@ class DatasetReader(Source):
         clip = find_clip(self.root, self._meta, index, key)
         return decode_frames(clip.path, clip.start_s + table["timestamp"].to_numpy(), self.fps).transpose(0, 2, 3, 1)
 
-    def _depth_m(self, index: int, key: str, camera: Camera, table: Any) -> np.ndarray:
+    def _depth_m(self, index: int, key: str, camera: Camera, table: Any) -> Array:
         feature = self._meta.features[key]
         if feature["dtype"] == "image":
             return image_depth_m(table[key], feature, camera, f"episode {index}, {key}")

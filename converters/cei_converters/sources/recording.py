@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from cei_gym.arrays import Array
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -19,10 +21,10 @@ class Recording:
     """
 
     index: int
-    state: np.ndarray
-    action: np.ndarray | None = None
-    times_s: np.ndarray | None = None
-    numbers: np.ndarray | None = None
+    state: Array
+    action: Array | None = None
+    times_s: Array | None = None
+    numbers: Array | None = None
 
 
 @dataclass(frozen=True)

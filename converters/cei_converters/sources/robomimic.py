@@ -38,6 +38,7 @@ from cei_converters.sources.robomimic_file import (
 from cei_converters.sources.robosuite import ACTIONS, action_entries
 from cei_converters.sources.scene import scene_without_metadata, table_from
 from cei_converters.sources.source import Source
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError
 
@@ -71,7 +72,7 @@ class RobomimicSource(Source):
         root: str | Path,
         *,
         embodiment: str | None = None,
-        T_world_base: np.ndarray | None = None,
+        T_world_base: Array | None = None,
         calibration: Calibration | None = None,
         joint_map: JointMap | None = None,
     ) -> None:
@@ -166,7 +167,7 @@ class RobomimicSource(Source):
 
     def carry(self, index: int) -> Carried:
         """See `Source.carry`."""
-        columns: dict[str, np.ndarray | pa.Array] = {}
+        columns: dict[str, Array | pa.Array] = {}
         with hdf5.opened(self.root) as file:
             episode = self._episode(file, index)
             for name in self._carried_as:

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from cei_converters.sources.calibration import Calibration
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
 
 # stands in for the workspace of a dataset that does not say: about any arm's reach; where the table is, it says nothing of
 DEFAULT_WORKSPACE_M = np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
 
 
-def scene_without_metadata(T_world_base: np.ndarray | None, calibration: Calibration | None) -> Scene:
+def scene_without_metadata(T_world_base: Array | None, calibration: Calibration | None) -> Scene:
     """What is known of the scene of a dataset that does not say. Where its table is, only a calibration's workspace says."""
     if T_world_base is None:
         T_world_base = (

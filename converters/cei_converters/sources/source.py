@@ -18,6 +18,7 @@ from cei_converters.sources.binding import BoundJointMap
 from cei_converters.sources.checks import LEAST_FRAMES, check_finite, likely_unit
 from cei_converters.sources.joint_map import ABSOLUTE
 from cei_converters.sources.plausible import check_actions
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError, unknown
@@ -36,9 +37,9 @@ class Joints:
         figures: how well they could be had, such as `ik_position_mm`.
     """
 
-    qpos: np.ndarray
-    action: np.ndarray
-    figures: Mapping[str, float] = field(default_factory=dict)
+    qpos: Array
+    action: Array
+    figures: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 class Source(ABC):
@@ -73,8 +74,8 @@ class Source(ABC):
     has_clouds: bool = False
     segmented: bool = False
     depth_cameras: tuple[str, ...] = ()
-    cameras: Mapping[str, dict] = {}
-    carried: dict[str, dict]
+    cameras: Mapping[str, dict[str, Any]] = {}
+    carried: dict[str, dict[str, Any]]
     dropped: dict[str, str]
 
     @classmethod
@@ -173,7 +174,7 @@ class Source(ABC):
             del self.carried[name]
             self.dropped[name] = reason
 
-    def masks(self, index: int) -> dict[str, np.ndarray]:
+    def masks(self, index: int) -> dict[str, Array]:
         """Depth camera's name to (T, H, W) bool, where it sees objects; none without a feature that says so.
 
         Raises:
@@ -201,8 +202,8 @@ class Source(ABC):
 
     def joints(
         self,
-        state: np.ndarray,
-        values: np.ndarray | None,
+        state: Array,
+        values: Array | None,
         index: int,
         bound: BoundJointMap | None,
         actions: BoundActions | None,
@@ -243,7 +244,7 @@ class Source(ABC):
             self._check_values(values, where, actions.feature)
         return Joints(qpos, actions.targets(values, qpos, self.fps), figures)
 
-    def _recover(self, bound: BoundJointMap, state: np.ndarray, qpos: np.ndarray, where: str):
+    def _recover(self, bound: BoundJointMap, state: Array, qpos: Array, where: str):
         assert bound.pose is not None and self.embodiment.arm is not None
         link = self.embodiment.body_id(bound.pose.link or self.embodiment.arm.mount_body)
         T_base_link = bound.pose.T_base_link(state[:, bound.pose_columns], self.scene.T_world_base, where)
@@ -255,21 +256,21 @@ class Source(ABC):
         }
         return np.column_stack([found.qpos[:, :n_arm], qpos[:, n_arm:]]), figures
 
-    def _check_values(self, values: np.ndarray, where: str, key: str) -> None:
+    def _check_values(self, values: Array, where: str, key: str) -> None:
         """values: (T, n) rad or m."""
         body = self.embodiment
         check_finite(values, where, key, [f"joint {name}" for name in body.joint_names])
         slack = np.array([UNIT_SLACK[unit] for unit in body.joint_units])
         far = np.argwhere((values < body.lower - slack) | (values > body.upper + slack))
         if len(far):
-            frame, joint = far[0]
+            frame, joint = map(int, far[0])
             unit = body.joint_units[joint]
             raise CEIError(
                 f"{where}, frame {frame}, joint {body.joint_names[joint]}: {key} is {values[frame, joint]:.4g} {unit}, far outside "
                 f"{self._limits(joint)}; it looks like {likely_unit(unit, float(np.abs(values[:, joint]).max()))}."
             )
 
-    def _check_widths(self, qpos: np.ndarray, where: str) -> None:
+    def _check_widths(self, qpos: Array, where: str) -> None:
         """Refuse fingers that slide and are far beyond their limits for long: the distance of two is twice as much."""
         body = self.embodiment
         for q in body.coupled.independent if len(qpos) >= LEAST_FRAMES else ():

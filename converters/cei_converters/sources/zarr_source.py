@@ -17,6 +17,7 @@ from cei_converters.sources.joint_map import ActionMap, JointMap
 from cei_converters.sources.recording import Recording, Recordings, spread
 from cei_converters.sources.scene import scene_without_metadata, table_from
 from cei_converters.sources.source import Source
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_json
@@ -73,7 +74,7 @@ class ZarrSource(Source):
         root: str | Path,
         *,
         embodiment: str | None = None,
-        T_world_base: np.ndarray | None = None,
+        T_world_base: Array | None = None,
         calibration: Calibration | None = None,
         joint_map: JointMap | None = None,
     ) -> None:
@@ -160,7 +161,7 @@ def recordings(root: Path, most: int) -> Recordings:
     return Recordings([str(i) for i in range(state.shape[1])], None, episodes, len(bounds) - 1)
 
 
-def _state(root: Path) -> tuple[Any, np.ndarray]:
+def _state(root: Path) -> tuple[Any, Array]:
     """`data/state`, and where its episodes begin and end."""
     state, marks = _array(root, _STATE, ndim=2), _array(root, _ENDS, ndim=1)
     ends = _rows(marks, 0, marks.shape[0], f"{root / _ENDS}")
@@ -239,7 +240,7 @@ def _codecs(described: object) -> Iterator[str]:
 _CODECS = ("filters", "codecs", "index_codecs")
 
 
-def _rows(array: Any, first: int, last: int, where: str) -> np.ndarray:
+def _rows(array: Any, first: int, last: int, where: str) -> Array:
     """Rows of an array.
 
     Raises:

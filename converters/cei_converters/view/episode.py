@@ -7,6 +7,7 @@ import numpy as np
 
 from cei_gym.alignment import AlignmentProblem, SolverOptions
 from cei_gym.alignment.judge.report import pad_residuals
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
@@ -40,11 +41,11 @@ class Side:
     role: str
     embodiment: Embodiment
     demonstration: Demonstration
-    frames: np.ndarray
-    T_world_links: np.ndarray
+    frames: Array
+    T_world_links: Array
     representation: FunctionalRepresentation
-    points_world: np.ndarray
-    normals_world: np.ndarray
+    points_world: Array
+    normals_world: Array
 
     @property
     def label(self) -> str:
@@ -62,12 +63,12 @@ class Side:
         """Colour of its pads: a source's are blue, others red."""
         return (40, 110, 230) if self.role == "source" else (230, 50, 40)
 
-    def towards_eye(self, direction_base: tuple[float, float, float]) -> np.ndarray:
+    def towards_eye(self, direction_base: tuple[float, float, float]) -> Array:
         """(3,) unit vector in the world of a direction in the base frame."""
         direction = self.demonstration.scene.T_world_base[:3, :3] @ direction_base
         return direction / np.linalg.norm(direction)
 
-    def cloud_rgb(self, t: int) -> np.ndarray:
+    def cloud_rgb(self, t: int) -> Array:
         """(P, 3) uint8 colours of the cloud's points at a frame: their own if it has any, else by height in the workspace."""
         from matplotlib import colormaps
 
@@ -92,17 +93,17 @@ class View:
 
     sides: tuple[Side, ...]
     title: str
-    residuals: dict[str, np.ndarray]
+    residuals: dict[str, Array]
 
     def __len__(self) -> int:
         return len(self.sides[0].frames)
 
     @property
-    def times_s(self) -> np.ndarray:
+    def times_s(self) -> Array:
         """(T,) time of each frame."""
         return np.arange(len(self)) / self.sides[-1].demonstration.fps
 
-    def eye_and_target(self) -> tuple[np.ndarray, np.ndarray]:
+    def eye_and_target(self) -> tuple[Array, Array]:
         """Two (3,) points in the world, from where and at what to look to see both robots and wherever their pads go."""
         parts = [side.points_world.reshape(-1, 3) for side in self.sides]
         parts += [side.T_world_links[:, 1:, :3, 3].reshape(-1, 3) for side in self.sides]
@@ -139,7 +140,7 @@ def load_view(reader: "Source", index: int, source: "Source | None" = None) -> V
     return View((before, target), title, _residuals(before, target))
 
 
-def _origin(reader: "Source", index: int, length: int, source: "Source") -> tuple[int, np.ndarray]:
+def _origin(reader: "Source", index: int, length: int, source: "Source") -> tuple[int, Array]:
     """Episode of the source, and which of its frames each frame of an episode shows: all in turn if it does not say."""
     record, source_index = reader.record(index), reader.source_episode(index)
     where = f"{reader.repo_id}, episode {index}"
@@ -175,7 +176,7 @@ def _check_source(reader: "Source", record: dict[str, Any], source: "Source", wh
         raise CEIError(f"{where} was converted from {origin.repo_id}; --source is {source.repo_id}.")
 
 
-def make_side(role: str, embodiment: Embodiment, demonstration: Demonstration, frames: np.ndarray) -> Side:
+def make_side(role: str, embodiment: Embodiment, demonstration: Demonstration, frames: Array) -> Side:
     """One side of a view; `frames` are (T,) indices in its own dataset's episode."""
     options = TransferOptions()
     representation = sample_representation(embodiment, options.points, options.seed)
@@ -184,7 +185,7 @@ def make_side(role: str, embodiment: Embodiment, demonstration: Demonstration, f
     return Side(role, embodiment, demonstration, frames, T_world_links, representation, *pads)
 
 
-def _residuals(source: Side, target: Side) -> dict[str, np.ndarray]:
+def _residuals(source: Side, target: Side) -> dict[str, Array]:
     """How far the pads are apart, as `cei-convert` measures it by default."""
     T_base_world = np.linalg.inv(target.demonstration.scene.T_world_base)
     R, p = T_base_world[:3, :3], T_base_world[:3, 3]

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from trimesh.visual import ColorVisuals
@@ -13,6 +13,7 @@ from cei_converters.cli.outputs import whole
 from cei_converters.dataset import schema
 from cei_converters.dataset.place import temporary_folder
 from cei_converters.view.episode import NORMAL_M, RESIDUALS, Side, View
+from cei_gym.arrays import Array
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError
 from cei_gym.rendering import lighter
@@ -70,7 +71,7 @@ def _log(recording: "rr.RecordingStream", view: View) -> None:
             _log_series(recording, times, f"residuals/{key}", label, view.residuals[key])
 
 
-def _log_robot(recording: "rr.RecordingStream", times: list, side: Side) -> None:
+def _log_robot(recording: "rr.RecordingStream", times: list[Any], side: Side) -> None:
     import rerun as rr
 
     names = [name.replace("/", "_") for name in side.embodiment.body_names]
@@ -89,7 +90,7 @@ def _log_robot(recording: "rr.RecordingStream", times: list, side: Side) -> None
             recording.log(path, shape, static=True)
 
 
-def _log_pads(recording: "rr.RecordingStream", times: list, side: Side) -> None:
+def _log_pads(recording: "rr.RecordingStream", times: list[Any], side: Side) -> None:
     import rerun as rr
 
     frames, pairs, _ = side.points_world.shape
@@ -106,7 +107,7 @@ def _log_pads(recording: "rr.RecordingStream", times: list, side: Side) -> None:
     recording.send_columns(path, indexes=times, columns=columns)
 
 
-def _log_cloud(recording: "rr.RecordingStream", times: list, side: Side) -> None:
+def _log_cloud(recording: "rr.RecordingStream", times: list[Any], side: Side) -> None:
     import rerun as rr
 
     cloud = side.demonstration.point_cloud_world
@@ -143,13 +144,13 @@ def _log_cameras(recording: "rr.RecordingStream", view: View, side: Side) -> Non
             recording.log(f"{path}/depth", rr.DepthImage(depth_m, meter=1.0))
 
 
-def _log_joints(recording: "rr.RecordingStream", times: list, side: Side) -> None:
+def _log_joints(recording: "rr.RecordingStream", times: list[Any], side: Side) -> None:
     for kind, values in (("position", side.demonstration.qpos), ("action", side.demonstration.action)):
         for name, series in zip(schema.joint_feature_names(side.embodiment), values.T, strict=True):
             _log_series(recording, times, f"{side.role}/joints/{kind}/{name}", name, series)
 
 
-def _log_series(recording: "rr.RecordingStream", times: list, path: str, label: str, values: np.ndarray) -> None:
+def _log_series(recording: "rr.RecordingStream", times: list[Any], path: str, label: str, values: Array) -> None:
     import rerun as rr
 
     recording.log(path, rr.SeriesLines(names=label), static=True)

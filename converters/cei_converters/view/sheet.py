@@ -12,6 +12,7 @@ from PIL import Image
 
 from cei_converters.cli.outputs import whole
 from cei_converters.view.episode import NORMAL_M, RESIDUALS, Side, View
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.rendering import Portrait, look_at, splat
 
@@ -73,7 +74,7 @@ def _hex(rgb: tuple[int, int, int]) -> str:
     return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 
-def _plot(axes: Axes, view: View, key: str, moments: np.ndarray) -> None:
+def _plot(axes: Axes, view: View, key: str, moments: Array) -> None:
     times, values = view.times_s, view.residuals[key]
     axes.plot(times, values, lw=1.5, color="0.25")
     axes.plot(times[moments], values[moments], "o", color="0.25")
@@ -81,7 +82,7 @@ def _plot(axes: Axes, view: View, key: str, moments: np.ndarray) -> None:
     axes.grid(alpha=0.3)
 
 
-def draw_moments(view: View, side: Side, moments: Iterable[int], supersample: int = _SUPERSAMPLE) -> list[np.ndarray]:
+def draw_moments(view: View, side: Side, moments: Iterable[int], supersample: int = _SUPERSAMPLE) -> list[Array]:
     """One picture (H, W, 3) uint8 a moment (index of a frame): above all of the robot, below its pads from near."""
     portrait = Portrait(side.embodiment)
     from_afar = _camera(*view.eye_and_target(), _HEIGHT, _FOVY_DEG, supersample)
@@ -100,11 +101,11 @@ def draw_moments(view: View, side: Side, moments: Iterable[int], supersample: in
     return pictures
 
 
-def _camera(eye: np.ndarray, target: np.ndarray, height: int, fovy_deg: float, supersample: int) -> Camera:
+def _camera(eye: Array, target: Array, height: int, fovy_deg: float, supersample: int) -> Camera:
     return look_at("view", eye, target, supersample * _WIDTH, supersample * height, fovy_deg)
 
 
-def _draw(view: View, side: Side, portrait: Portrait, t: int, camera: Camera, radius_px: float) -> np.ndarray:
+def _draw(view: View, side: Side, portrait: Portrait, t: int, camera: Camera, radius_px: float) -> Array:
     """Robot, workspace, cloud and pads at a frame, the target's with the source's pads; pads that are hidden are pale."""
     demonstration = side.demonstration
     picture, depth_m = portrait(side.T_world_links[t], camera)
@@ -122,7 +123,7 @@ def _draw(view: View, side: Side, portrait: Portrait, t: int, camera: Camera, ra
     return picture
 
 
-def _edges(box: np.ndarray) -> np.ndarray:
+def _edges(box: Array) -> Array:
     """(N, 3) points along the edges of a box given by two corners (2, 3)."""
     corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     share = np.linspace(0, 1, 300)[:, None]

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import asdict
+from typing import Any
 
 import mink
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cei_envs.experts.plan import Waypoint, grip_pose, plan
 from cei_envs.experts.variation import Variation
+from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 
 
@@ -24,10 +26,10 @@ class Expert(ABC):
     """
 
     @abstractmethod
-    def __init__(self, embodiment: Embodiment, T_world_base: np.ndarray, seed: int, variation: float = 1.0) -> None: ...
+    def __init__(self, embodiment: Embodiment, T_world_base: Array, seed: int, variation: float = 1.0) -> None: ...
 
     @abstractmethod
-    def plan(self, agent_pos: np.ndarray, environment_state: np.ndarray) -> np.ndarray:
+    def plan(self, agent_pos: Array, environment_state: Array) -> Array:
         """(T, n) joint targets from the start of an episode, rad or m.
 
         Args:
@@ -36,33 +38,33 @@ class Expert(ABC):
         """
 
     @abstractmethod
-    def describe(self) -> dict:
+    def describe(self) -> dict[str, Any]:
         """How it varies, as JSON types, for the dataset's metadata."""
 
 
 class GripperExpert(Expert):
     """A script for an arm with a parallel gripper: the grip site's waypoints, varied as people vary."""
 
-    def __init__(self, embodiment: Embodiment, T_world_base: np.ndarray, seed: int, variation: float = 1.0) -> None:
+    def __init__(self, embodiment: Embodiment, T_world_base: Array, seed: int, variation: float = 1.0) -> None:
         self.embodiment, self._T_base_world = embodiment, np.linalg.inv(T_world_base)
         self._rng = np.random.default_rng([seed, 1])
         self._amount, self.variation = variation, Variation.sample(self._rng, variation)
 
-    def describe(self) -> dict:
+    def describe(self) -> dict[str, Any]:
         """The variation, for the dataset's metadata."""
         return asdict(self.variation)
 
-    def plan(self, agent_pos: np.ndarray, environment_state: np.ndarray) -> np.ndarray:
+    def plan(self, agent_pos: Array, environment_state: Array) -> Array:
         """See `Expert.plan`."""
         waypoints = self.waypoints(np.asarray(environment_state, float))
         start = np.asarray(agent_pos, float)
         return plan(self.embodiment, start, waypoints, self.variation.jitter_m, self._rng)
 
     @abstractmethod
-    def waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+    def waypoints(self, state: Array) -> Sequence[Waypoint]:
         """The grip site's way from a state (k,) of the task's objects."""
 
-    def waypoint(self, position_world: np.ndarray, rotation: Rotation, closed: float, frames: int) -> Waypoint:
+    def waypoint(self, position_world: Array, rotation: Rotation, closed: float, frames: int) -> Waypoint:
         """At this expert's own speed."""
         T = self._T_base_world
         return Waypoint(
@@ -89,7 +91,7 @@ def upright(rotation: Rotation) -> Rotation:
     return Rotation.from_euler("ZX", [heading, np.pi])
 
 
-def closing_direction_base(embodiment: Embodiment) -> np.ndarray:
+def closing_direction_base(embodiment: Embodiment) -> Array:
     """(3,) unit direction in which the first pad moves when the hand closes at home, in the base frame."""
     closed = np.concatenate([embodiment.home[: embodiment.n_arm], embodiment.closed[embodiment.n_arm :]])
     assert embodiment.end_effector is not None

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
-import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cei_envs.experts.expert import GripperExpert
 from cei_envs.experts.plan import Waypoint
 from cei_envs.tasks.cube import TABLE_Z_M
+from cei_gym.arrays import Array
 
 _HANDLE_CABINET_M = (-0.077, 0.0, 0.0725)
 _ABOVE_M = 0.10
@@ -17,7 +17,7 @@ _PULL_M = 0.125
 class OpenDrawerExpert(GripperExpert):
     """Reach over the handle, descend until the fingers straddle it, close, pull."""
 
-    def waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+    def waypoints(self, state: Array) -> Sequence[Waypoint]:
         x, y, yaw, opening = state
         cabinet = Rotation.from_euler("z", yaw)
         handle = cabinet.apply(_HANDLE_CABINET_M) + [x, y, TABLE_Z_M] - cabinet.apply([opening, 0, 0])

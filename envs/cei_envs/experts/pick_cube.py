@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from cei_envs.experts.expert import GripperExpert, upright
 from cei_envs.experts.plan import Waypoint, grip_pose
+from cei_gym.arrays import Array
 
 _ABOVE_M = 0.10
 _LIFT_M = 0.15
@@ -15,7 +16,7 @@ _LIFT_M = 0.15
 class PickCubeExpert(GripperExpert):
     """Reach over the cube, descend, close, lift."""
 
-    def waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+    def waypoints(self, state: Array) -> Sequence[Waypoint]:
         v = self.variation
         _, home = grip_pose(self.embodiment, self.embodiment.home)
         # A cube looks the same every quarter turn: take the one nearest to the hand's own heading.

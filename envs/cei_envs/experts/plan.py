@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
+from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 
@@ -29,13 +30,13 @@ class Waypoint:
         frames: how many frames it takes to get there.
     """
 
-    position_base: np.ndarray
+    position_base: Array
     rotation_base: Rotation
     closed: float
     frames: int
 
 
-def grip_pose(embodiment: Embodiment, qpos: np.ndarray) -> tuple[np.ndarray, Rotation]:
+def grip_pose(embodiment: Embodiment, qpos: Array) -> tuple[Array, Rotation]:
     """Pose of the grip site in the base frame at qpos (n,)."""
     pose = mink.Configuration(embodiment.model, qpos).get_transform_frame_to_world(_GRIP_SITE, "site")
     return pose.translation(), Rotation.from_matrix(pose.rotation().as_matrix())
@@ -43,11 +44,11 @@ def grip_pose(embodiment: Embodiment, qpos: np.ndarray) -> tuple[np.ndarray, Rot
 
 def plan(
     embodiment: Embodiment,
-    start: np.ndarray,
+    start: Array,
     waypoints: Sequence[Waypoint],
     jitter_m: float,
     rng: np.random.Generator,
-) -> np.ndarray:
+) -> Array:
     """Joint targets that pass through the waypoints.
 
     Args:
@@ -91,7 +92,7 @@ class InverseKinematics:
         CEIError: the end-effector has no grip site.
     """
 
-    def __init__(self, embodiment: Embodiment, posture: np.ndarray) -> None:
+    def __init__(self, embodiment: Embodiment, posture: Array) -> None:
         if mujoco.mj_name2id(embodiment.model, mujoco.mjtObj.mjOBJ_SITE, _GRIP_SITE) < 0:
             raise CEIError(
                 f"{embodiment.name}: the end-effector's description has no site named 'grip_site', which is what moves."
@@ -101,7 +102,7 @@ class InverseKinematics:
         self._posture = mink.PostureTask(embodiment.model, cost=1e-3)
         self._posture.set_target(posture)
 
-    def solve(self, start: np.ndarray, position: np.ndarray, rotation: Rotation) -> tuple[np.ndarray, float, float]:
+    def solve(self, start: Array, position: Array, rotation: Rotation) -> tuple[Array, float, float]:
         """A few Newton steps from `start` (n,) towards a pose near the one there.
 
         Args:
@@ -122,7 +123,7 @@ class InverseKinematics:
         return self._configuration.q.copy(), float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
 
 
-def _follow(embodiment: Embodiment, start, positions, rotations) -> np.ndarray:
+def _follow(embodiment: Embodiment, start, positions, rotations) -> Array:
     solver, qpos = InverseKinematics(embodiment, start), [start]
     for position, rotation in zip(positions, rotations, strict=True):
         found, miss_m, _ = solver.solve(qpos[-1], position, rotation)

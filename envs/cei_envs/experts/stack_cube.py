@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from cei_envs.experts.expert import GripperExpert
 from cei_envs.experts.plan import Waypoint
 from cei_envs.tasks.cube import STATE_SIZE
+from cei_gym.arrays import Array
 
 _ABOVE_M = 0.10
 _LET_GO_M = 0.002  # above the green cube
@@ -17,7 +18,7 @@ _PLACE_M = 0.003  # error of the place, each way
 class StackCubeExpert(GripperExpert):
     """Reach over the red cube, descend, close, lift, carry over the green cube, lower, open, withdraw."""
 
-    def waypoints(self, state: np.ndarray) -> Sequence[Waypoint]:
+    def waypoints(self, state: Array) -> Sequence[Waypoint]:
         red, green = state[:STATE_SIZE], state[STATE_SIZE:]
         red_yaw = Rotation.from_quat(red[3:7], scalar_first=True).as_euler("ZYX")[0]
         # Of the two ways to grasp the red cube, the one whose fingers stay away from the green one.

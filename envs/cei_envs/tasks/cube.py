@@ -3,6 +3,8 @@
 import mujoco
 import numpy as np
 
+from cei_gym.arrays import Array
+
 STATE_SIZE = 11
 TABLE_Z_M = 0.8
 DENSITY_KG_M3 = 1000.0
@@ -14,7 +16,7 @@ def state_names(cube: str) -> tuple[str, ...]:
     return tuple(f"{cube}.{name}" for name in (*pose, "half_x_m", "half_y_m", "half_z_m", "mass_kg"))
 
 
-def cube_on_table(x_m: float, y_m: float, yaw_rad: float, half_m: np.ndarray) -> np.ndarray:
+def cube_on_table(x_m: float, y_m: float, yaw_rad: float, half_m: Array) -> Array:
     """(11,) state of a cube with half sizes `half_m` (3,) that lies on the table."""
     quat_wxyz = [np.cos(yaw_rad / 2), 0.0, 0.0, np.sin(yaw_rad / 2)]
     return np.array([x_m, y_m, TABLE_Z_M + half_m[2], *quat_wxyz, *half_m, DENSITY_KG_M3 * 8 * np.prod(half_m)])
@@ -37,7 +39,7 @@ class Cube:
         self._qpos = slice(address, address + 7)
 
     @property
-    def position_world(self) -> np.ndarray:
+    def position_world(self) -> Array:
         """(3,) centre, m."""
         return self._data.xpos[self._body].copy()
 
@@ -45,12 +47,12 @@ class Cube:
     def half_height_m(self) -> float:
         return float(self._model.geom_size[self.geoms[0], 2])
 
-    def read(self) -> np.ndarray:
+    def read(self) -> Array:
         """(11,) state now."""
         size, mass = self._model.geom_size[self.geoms[0]], self._model.body_mass[self._body]
         return np.array([*self._data.qpos[self._qpos], *size, mass])
 
-    def apply(self, state: np.ndarray) -> None:
+    def apply(self, state: Array) -> None:
         """Take a state (11,)."""
         model, data, half, mass = self._model, self._data, state[7:10], state[10]
         model.geom_size[self.geoms] = half

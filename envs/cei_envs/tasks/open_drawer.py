@@ -6,6 +6,7 @@ import numpy as np
 
 from cei_envs.environment import CEIEnv
 from cei_envs.tasks.cube import TABLE_Z_M
+from cei_gym.arrays import Array
 
 FRONT_X_M = (0.06, 0.12)
 PLACEMENT_Y_M = 0.08
@@ -56,26 +57,26 @@ class OpenDrawerEnv(CEIEnv):
         "drawer.opening_m",
     )
 
-    def make_robosuite(self, **robot_arguments) -> Any:
+    def make_robosuite(self, **robot_arguments: Any) -> Any:
         from cei_envs.tasks.cabinet import OpenDrawer
 
         return OpenDrawer(**robot_arguments)
 
-    def workspace_world(self) -> np.ndarray:
+    def workspace_world(self) -> Array:
         return np.array([[-0.35, -0.35, TABLE_Z_M + 0.004], [0.35, 0.35, TABLE_Z_M + 0.45]])
 
-    def sample_state(self, rng: np.random.Generator) -> np.ndarray:
+    def sample_state(self, rng: np.random.Generator) -> Array:
         x, y = rng.uniform(*FRONT_X_M), rng.uniform(-PLACEMENT_Y_M, PLACEMENT_Y_M)
         return np.array([x, y, rng.uniform(-YAW_RAD, YAW_RAD), 0.0])
 
-    def apply_state(self, state: np.ndarray) -> None:
+    def apply_state(self, state: Array) -> None:
         x, y, yaw, opening = state
         cabinet = self.model.body("cabinet_main")
         cabinet.pos[:] = [x, y, TABLE_Z_M]
         cabinet.quat[:] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         self.simulation.data.joint("cabinet_slide").qpos[:] = opening
 
-    def read_state(self) -> np.ndarray:
+    def read_state(self) -> Array:
         cabinet = self.model.body("cabinet_main")
         return np.array([*cabinet.pos[:2], 2 * np.arctan2(cabinet.quat[3], cabinet.quat[0]), self._opening_m])
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from cei_envs.environment import CEIEnv
 from cei_envs.tasks.cube import TABLE_Z_M, Cube, cube_on_table, state_names
+from cei_gym.arrays import Array
 
 PLACEMENT_M = 0.10
 HALF_SIZE_M = (0.020, 0.022)
@@ -61,23 +62,23 @@ class PickCubeEnv(CEIEnv):
     task_text: ClassVar[str] = "Pick up the cube and hold it."
     state_names: ClassVar[tuple[str, ...]] = state_names("cube")
 
-    def make_robosuite(self, **robot_arguments) -> Any:
+    def make_robosuite(self, **robot_arguments: Any) -> Any:
         import robosuite
 
         return robosuite.make("Lift", **robot_arguments)
 
-    def workspace_world(self) -> np.ndarray:
+    def workspace_world(self) -> Array:
         return np.array([[-0.35, -0.35, TABLE_Z_M + 0.004], [0.25, 0.35, TABLE_Z_M + 0.45]])
 
-    def sample_state(self, rng: np.random.Generator) -> np.ndarray:
+    def sample_state(self, rng: np.random.Generator) -> Array:
         half = rng.uniform(*HALF_SIZE_M, 3)
         x, y = rng.uniform(-PLACEMENT_M, PLACEMENT_M, 2)
         return cube_on_table(x, y, rng.uniform(-np.pi, np.pi), half)
 
-    def apply_state(self, state: np.ndarray) -> None:
+    def apply_state(self, state: Array) -> None:
         self.cube.apply(state)
 
-    def read_state(self) -> np.ndarray:
+    def read_state(self) -> Array:
         return self.cube.read()
 
     def begin(self) -> None:

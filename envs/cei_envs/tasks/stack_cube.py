@@ -7,6 +7,7 @@ import numpy as np
 
 from cei_envs.environment import CEIEnv
 from cei_envs.tasks.cube import STATE_SIZE, TABLE_Z_M, Cube, cube_on_table, state_names
+from cei_gym.arrays import Array
 
 PLACEMENT_M = 0.08
 HALF_SIZES_M = (0.020, 0.025)
@@ -54,15 +55,15 @@ class StackCubeEnv(CEIEnv):
     task_text: ClassVar[str] = "Put the red cube on the green cube."
     state_names: ClassVar[tuple[str, ...]] = state_names("red") + state_names("green")
 
-    def make_robosuite(self, **robot_arguments) -> Any:
+    def make_robosuite(self, **robot_arguments: Any) -> Any:
         import robosuite
 
         return robosuite.make("Stack", **robot_arguments)
 
-    def workspace_world(self) -> np.ndarray:
+    def workspace_world(self) -> Array:
         return np.array([[-0.35, -0.35, TABLE_Z_M + 0.004], [0.25, 0.35, TABLE_Z_M + 0.45]])
 
-    def sample_state(self, rng: np.random.Generator) -> np.ndarray:
+    def sample_state(self, rng: np.random.Generator) -> Array:
         red = green = np.zeros(2)
         while np.linalg.norm(red - green) < APART_M:
             red, green = rng.uniform(-PLACEMENT_M, PLACEMENT_M, (2, 2))
@@ -70,11 +71,11 @@ class StackCubeEnv(CEIEnv):
         cubes = zip((red, green), yaws, HALF_SIZES_M, strict=True)
         return np.concatenate([cube_on_table(x, y, yaw, np.full(3, half)) for (x, y), yaw, half in cubes])
 
-    def apply_state(self, state: np.ndarray) -> None:
+    def apply_state(self, state: Array) -> None:
         self._red.apply(state[:STATE_SIZE])
         self._green.apply(state[STATE_SIZE:])
 
-    def read_state(self) -> np.ndarray:
+    def read_state(self) -> Array:
         return np.concatenate([self._red.read(), self._green.read()])
 
     def begin(self) -> None:
