@@ -54,8 +54,13 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-for _entry_point in plugins.found("cei_gym.environments"):
-    _entry_point.load()()
+def register_environments() -> None:
+    """Register with Gymnasium what is not registered yet: for robots that `CEI_GYM_EMBODIMENTS` has named since the import."""
+    for point in plugins.found("cei_gym.environments"):
+        point.load()()
+
+
+register_environments()
 if not extras.installed("cei_envs"):
     from cei_gym import absent
 

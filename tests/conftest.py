@@ -34,6 +34,7 @@ SLOW = {
     "test_tasks": 40,
     "test_verify": 40,
     "test_view": 40,
+    "test_composed": 35,
     "test_examples": 32,
     "test_cameras": 30,
     "test_gr1": 30,

@@ -138,8 +138,8 @@ LAYERS = {
         *("writing", "outcomes", "preloaded", "assemble"),
     ],
     "cei_envs": [
-        *("gripper", "picture", "viewpoints", "registration", "rollout", "simulation", "sensors", "environment"),
-        *("tasks", "experts", "teleoperation"),
+        *("gripper", "picture", "viewpoints", "registration", "rollout", "simulation", "mounted", "composing"),
+        *("composed", "simulate", "sensors", "environment", "tasks", "experts", "teleoperation"),
     ],
     "lerobot_env_cei": ["workers", "processors", "configuration"],
     "lerobot_policy_dp3": [

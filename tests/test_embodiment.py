@@ -12,7 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cei_envs.simulation import Simulation
+from cei_envs.mounted import MountedSimulation as Simulation
 from cei_gym.embodiment import (
     ARMS,
     END_EFFECTORS,

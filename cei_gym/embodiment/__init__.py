@@ -1,6 +1,6 @@
 """Embodiments: arm x end-effector, from MJCF or URDF and one small typed YAML each."""
 
-from cei_gym.embodiment.building import build_embodiment
+from cei_gym.embodiment.building import build_embodiment, describe
 from cei_gym.embodiment.catalogue import (
     ARMS,
     END_EFFECTORS,
@@ -15,7 +15,7 @@ from cei_gym.embodiment.coupled import Coupled
 from cei_gym.embodiment.embodiment import Embodiment
 from cei_gym.embodiment.identity import fingerprint
 from cei_gym.embodiment.resources import use_package_path
-from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec, Pad, PhysicsException, load_spec
+from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec, Pad, PhysicsException, Servo, load_spec
 
 __all__ = [
     "ARMS",
@@ -27,8 +27,10 @@ __all__ = [
     "EndEffectorSpec",
     "Pad",
     "PhysicsException",
+    "Servo",
     "arm_names",
     "build_embodiment",
+    "describe",
     "embodiment_names",
     "end_effector_names",
     "fingerprint",

@@ -11,7 +11,7 @@ from cei_gym.embodiment.assets import MeshDiffersError
 from cei_gym.embodiment.compiling import check_loops, compile_spec
 from cei_gym.embodiment.coupled import Coupled, couple
 from cei_gym.embodiment.embodiment import Embodiment
-from cei_gym.embodiment.joining import join
+from cei_gym.embodiment.joining import Joined, join
 from cei_gym.embodiment.names import END_EFFECTOR_PREFIX, public_name
 from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec
 from cei_gym.errors import CEIError, unknown
@@ -40,21 +40,37 @@ def build_embodiment(
     Raises:
         CEIError: a description is missing or refused, or a specification names what the description lacks.
     """
-    try:
-        return _build(arm, end_effector, relative_to)
-    except MeshDiffersError:
-        return _build(arm, end_effector, relative_to, plain=False)
-
-
-def _build(
-    arm: ArmSpec | None, end_effector: EndEffectorSpec | None, relative_to: Path, plain: bool = True
-) -> Embodiment:
-    joined = join(arm, end_effector, relative_to, plain)
     name = "-".join(part.name for part in (arm, end_effector) if part is not None)
-    assets = [description.assets for description in joined.descriptions]
-    model, more = compile_spec(name, joined.spec, assets, joined.held)
+    joined, model, more = _compiled(name, arm, end_effector, relative_to)
     notes = [*joined.notes, *(f"{name}: {note}" for note in more)]
     return _from_model(name, arm, end_effector, model, joined.couplings, joined.max_velocity, notes)
+
+
+def describe(embodiment: Embodiment) -> mujoco.MjSpec:
+    """What an embodiment of the catalogue was compiled from, read anew, for who puts it among other things.
+
+    Names of the end-effector carry `END_EFFECTOR_PREFIX`; `assets` holds all files.
+
+    Raises:
+        CEIError: as for `build_embodiment`.
+    """
+    joined, _, _ = _compiled(embodiment.name, embodiment.arm, embodiment.end_effector, Path())
+    return joined.spec
+
+
+def _compiled(
+    name: str, arm: ArmSpec | None, end_effector: EndEffectorSpec | None, relative_to: Path
+) -> tuple[Joined, mujoco.MjModel, list[str]]:
+    """Descriptions joined, the model, and sentences about what was assumed."""
+    for plain in (True, False):
+        joined = join(arm, end_effector, relative_to, plain)
+        assets = [description.assets for description in joined.descriptions]
+        try:
+            return joined, *compile_spec(name, joined.spec, assets, joined.held)
+        except MeshDiffersError:
+            if not plain:
+                raise
+    raise AssertionError
 
 
 def _from_model(

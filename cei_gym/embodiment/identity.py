@@ -9,8 +9,8 @@ import numpy as np
 
 from cei_gym.embodiment.embodiment import Embodiment
 
-_WHERE = ("name", "description", "folder", "package_path")
-"""Of a specification: what it is called, and where files are whose content is in the model."""
+_WHERE = ("name", "description", "folder", "package_path", "servo")
+"""Of a specification: what it is called, where files are whose content is in the model, and what a simulation alone knows."""
 
 
 def fingerprint(embodiment: Embodiment) -> str:

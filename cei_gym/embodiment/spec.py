@@ -115,6 +115,42 @@ class PhysicsException(_Checked):
 
 
 @dataclass(frozen=True)
+class Servo(_Checked):
+    """How a simulation drives joints that its simulator has no controller for: position servos with gains by what they move.
+
+    Of the inertia that a joint feels at home, rotor included, `kp = frequency_rad_s^2 inertia` and
+    `kv = 2 damping_ratio frequency_rad_s inertia`.
+
+    Attributes:
+        frequency_rad_s: of the undamped loop.
+        damping_ratio: 1 is critical.
+        armature_kg_m2: inertia of a hinge's rotor, as the joint feels it.
+        armature_kg: the same of a slide.
+        torque_n_m: most of a hinge whose description gives no effort; 0 is without limit.
+        force_n: the same of a slide.
+    """
+
+    frequency_rad_s: float = 60.0
+    damping_ratio: float = 1.0
+    armature_kg_m2: float = 0.1
+    armature_kg: float = 1.0
+    torque_n_m: float = 0.0
+    force_n: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("frequency_rad_s", "damping_ratio"):
+            if not getattr(self, name) > 0:
+                raise CEIError(f"`{name}` should be above 0, not {getattr(self, name)}.")
+        for name in ("armature_kg_m2", "armature_kg", "torque_n_m", "force_n"):
+            if not getattr(self, name) >= 0:
+                raise CEIError(f"`{name}` should be at least 0, not {getattr(self, name)}.")
+
+
+_FINGERS = Servo(frequency_rad_s=100.0, armature_kg_m2=0.001, armature_kg=0.05, torque_n_m=2.0, force_n=40.0)
+
+
+@dataclass(frozen=True)
 class ArmSpec(_Part):
     """An arm: description, flange and home pose (rad).
 
@@ -133,6 +169,7 @@ class ArmSpec(_Part):
         angle: "radian" or "degree" where the description does not say (MJCF then means degrees).
         couplings: follower -> which joint it follows, where the description does not say, or says it otherwise.
         package_path: folders below the YAML's own that ROS packages are looked for in; `--package_path` gives others.
+        servo: how joints are driven where the simulator has no controller of its own.
         folder: of the YAML; `load_spec` fills it in.
     """
 
@@ -149,6 +186,7 @@ class ArmSpec(_Part):
     angle: str = ""
     couplings: dict[str, Coupling] = field(default_factory=dict[str, Coupling])
     package_path: list[str] = field(default_factory=list[str])
+    servo: Servo = Servo()
     folder: str = ""
 
 
@@ -171,7 +209,7 @@ class EndEffectorSpec(_Part):
             give way.
         couplings: as for an arm.
         simulator_name: the simulator's name for it, if it differs.
-        package_path, folder: as for an arm.
+        package_path, servo, folder: as for an arm.
     """
 
     name: str
@@ -190,6 +228,7 @@ class EndEffectorSpec(_Part):
     simulator_name: str = ""
     physics: list[PhysicsException] = field(default_factory=list[PhysicsException])
     package_path: list[str] = field(default_factory=list[str])
+    servo: Servo = _FINGERS
     folder: str = ""
 
     def __post_init__(self) -> None:

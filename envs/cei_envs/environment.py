@@ -14,7 +14,8 @@ import numpy as np
 
 from cei_envs.picture import Picture
 from cei_envs.sensors import SENSORS, check_sensors
-from cei_envs.simulation import CONTROL_HZ, Simulation
+from cei_envs.simulate import simulate
+from cei_envs.simulation import CONTROL_HZ
 from cei_envs.viewpoints import make_cameras
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
@@ -56,6 +57,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         start_qpos: (n,) joint positions near which episodes start, or (k, n) to draw from, rad or m; default: the embodiment's
             home. A policy starts where its demonstrations do, which is elsewhere for those of another robot.
         sensors: names of `cei_envs.sensors`, which `channels` measures too; observations stay what they are.
+        T_world_base: (4, 4) where the robot stands, if it is one that robosuite does not mount; default: where robosuite's Panda does.
         render_mode: "rgb_array" or None.
     """
 
@@ -75,6 +77,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         colours: bool = False,
         start_qpos: Sequence[float] | Sequence[Sequence[float]] | None = None,
         sensors: Sequence[str] = (),
+        T_world_base: Sequence[Sequence[float]] | None = None,
         render_mode: str | None = None,
     ) -> None:
         gym.utils.EzPickle.__init__(
@@ -90,6 +93,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
             colours,
             start_qpos,
             sensors,
+            T_world_base,
             render_mode,
         )
         for name in ("task", "task_text", "state_names"):
@@ -108,7 +112,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         placed = make_cameras(cameras, image_width, image_height)
         self._noise = as_noise(depth_noise)
         calibrated = placed if self._noise is None else tuple(miscalibrated(camera, self._noise) for camera in placed)
-        self.simulation = Simulation(self.embodiment, self.make_robosuite, stock_physics)
+        self.simulation = simulate(self.embodiment, self.make_robosuite, stock_physics, T_world_base)
         """What it runs: model, joints, contacts, for a task to ask."""
         self.scene = Scene(self.simulation.T_world_base, calibrated, self.workspace_world())
         """Base, depth cameras as calibrated, workspace."""

@@ -69,16 +69,24 @@ def environment_id(task: str, embodiment: str) -> str:
 
 def environment_ids() -> list[str]:
     """All environments that this package registers."""
-    # Importing cei_gym registers the environments, for which this module must be complete.
-    from cei_gym.embodiment import ARMS, END_EFFECTORS
+    return [environment_id(task, robot) for task in tasks() for robot in _robots()]
 
-    # robosuite has no others
-    robots = [f"{arm}-{end_effector}" for arm in ARMS for end_effector in END_EFFECTORS]
-    return [environment_id(task, robot) for task in tasks() for robot in robots]
+
+def _robots() -> list[str]:
+    """Embodiments that have environments: all that have a name. Where those of one's own cannot be listed the others are of use."""
+    # Importing cei_gym registers the environments, for which this module must be complete.
+    from cei_gym.embodiment import ARMS, END_EFFECTORS, embodiment_names
+    from cei_gym.errors import CEIError
+
+    try:
+        return [name for name in embodiment_names() if name.count("-") == 1]
+    except CEIError as error:
+        warnings.warn(str(error), stacklevel=2)
+        return [f"{arm}-{end_effector}" for arm in ARMS for end_effector in END_EFFECTORS]
 
 
 def register() -> None:
-    """Register every environment, once; called by `import cei_gym`."""
+    """Register every environment that is not yet; called by `import cei_gym`, and again where robots may have come since."""
     known = tasks()
     for name in environment_ids():
         if name not in gym.registry:

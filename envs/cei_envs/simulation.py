@@ -1,97 +1,50 @@
-"""A robosuite simulation of one embodiment: built, read and driven in the embodiment's own joint layout."""
+"""A simulation of one embodiment among a task's objects, read and driven in the embodiment's own joint layout."""
 
-from collections.abc import Callable
-from functools import cached_property
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from robosuite.controllers import load_composite_controller_config
-from robosuite.controllers.composite.composite_controller import CompositeController, register_composite_controller
 
-from cei_envs.gripper import register_gripper, require_absolute_control
 from cei_gym.arrays import Array
-from cei_gym.embodiment import ArmSpec, Embodiment
-from cei_gym.errors import CEIError
 
 CONTROL_HZ = 20
 
 
-@register_composite_controller
-class StillBaseController(CompositeController):
-    """robosuite's basic controller for a base that stands still.
-
-    The same commands in half the time: robosuite derives the limits of actions, where the base is, and the gripper's
-    Jacobian anew in each of the 25 physics steps of a control period, which takes longer than the physics.
-    """
-
-    name = "CEI_STILL_BASE"
-
-    @cached_property
-    def action_limits(self):
-        return super().action_limits
-
-    def update_state(self) -> None:
-        """Nothing to do: joint positions do not depend on the base."""
-
-    def _init_controllers(self) -> None:
-        super()._init_controllers()
-        for arm in self.arms:
-            self.part_controllers[arm].ref_name = None  # nor on where the gripper is
-
-
-class Simulation:
-    """robosuite's physics and controllers around one embodiment.
+class Simulation(ABC):
+    """Physics around one embodiment; `mounted` and `composed` are the two ways of making one.
 
     Args:
-        embodiment: arm and end-effector.
-        make: builds the robosuite environment from its robot arguments.
-        stock_physics: apply only the physics exceptions without which nothing works.
+        model, data: MuJoCo's.
+        joints: of the model, one for each of the embodiment's.
+        driven: indices into the embodiment's joints that targets move, as its actuators have them.
+        prefixes: of the names of the robot's bodies.
+        base: body that is the robot's base.
+
+    Attributes:
+        model, data, driven: as given.
+        robot_geoms: geoms of arm and end-effector.
+        T_world_base: (4, 4) pose of the base, which stands still.
     """
 
-    def __init__(self, embodiment: Embodiment, make: Callable[..., Any], stock_physics: bool = False) -> None:
-        arm_spec, hand_spec = embodiment.arm, embodiment.end_effector
-        if arm_spec is None or hand_spec is None:
-            raise CEIError(f"{embodiment.name}: a simulation needs an arm and an end-effector.")
-        self._env = make(
-            robots=arm_spec.simulator_name,
-            gripper_types=register_gripper(hand_spec, stock_physics),
-            controller_configs=_controllers(arm_spec),
-            initialization_noise=None,
-            control_freq=CONTROL_HZ,
-            use_camera_obs=False,
-            has_renderer=False,
-            has_offscreen_renderer=False,
-            hard_reset=False,
-            ignore_done=True,
-        )
-        self._env.reset()
-        # The environment reads the model itself; robosuite's sensors would only cost time.
-        for name in self._env.observation_names:
-            self._env.modify_observable(name, "enabled", False)
-            self._env.modify_observable(name, "active", False)
-        self.model: mujoco.MjModel = self._env.sim.model._model
-        self.data: mujoco.MjData = self._env.sim.data._data
-        robot = self._env.robots[0]
-        arm, hand = robot.robot_model.naming_prefix, robot.gripper["right"].naming_prefix
-        prefixes = [arm if q < embodiment.n_arm else hand for q in range(len(embodiment.joint_names))]
-        joints = [self.model.joint(p + n).id for p, n in zip(prefixes, embodiment.joint_names, strict=True)]
-        self._qpos_address = self.model.jnt_qposadr[joints]
-        self._qvel_address = self.model.jnt_dofadr[joints]
-        actuators = [self.model.actuator(n).id for n in robot.gripper["right"].actuators]
-        index = {joint: q for q, joint in enumerate(joints)}
-        # Actuators come in another order than joints, and fewer: map by the joint that each drives.
-        self._driven_hand = [index[self.model.actuator_trnid[a, 0]] for a in actuators]
-        self.driven = np.array([*range(embodiment.n_arm), *self._driven_hand])
-        self._n_arm = embodiment.n_arm
-        owner = [self.model.body(b).name for b in self.model.geom_bodyid]
-        self.robot_geoms = np.flatnonzero([name.startswith((arm, hand)) for name in owner])
-        """Geoms of arm and end-effector."""
-        self._hand = hand
-        base = self.model.body(robot.robot_model.root_body).id
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        joints: Sequence[int],
+        driven: Array,
+        prefixes: tuple[str, ...],
+        base: str,
+    ) -> None:
+        self.model, self.data, self.driven = model, data, driven
+        self._qpos_address = model.jnt_qposadr[joints]
+        self._qvel_address = model.jnt_dofadr[joints]
+        owner = [model.body(b).name for b in model.geom_bodyid]
+        self.robot_geoms = np.flatnonzero([name.startswith(prefixes) for name in owner])
+        place = data.body(base)
         self.T_world_base = np.eye(4)
-        self.T_world_base[:3, 3] = self.data.xpos[base]
-        self.T_world_base[:3, :3] = self.data.xmat[base].reshape(3, 3)
+        self.T_world_base[:3, 3] = place.xpos
+        self.T_world_base[:3, :3] = place.xmat.reshape(3, 3)
 
     @property
     def qpos(self) -> Array:
@@ -99,59 +52,31 @@ class Simulation:
         return self.data.qpos[self._qpos_address].copy()
 
     @property
+    @abstractmethod
     def wrench(self) -> Array:
-        """(6,) force, N, and torque, N m, between arm and end-effector, in the frame of robosuite's sensor there."""
-        return np.concatenate([self.data.sensor(f"{self._hand}{kind}_ee").data for kind in ("force", "torque")])
+        """(6,) force, N, and torque, N m, between arm and end-effector."""
 
+    @abstractmethod
     def reset(self, qpos: Array) -> None:
         """Bring everything to its first state, with the robot at rest at `qpos` (n,)."""
-        self._env.reset()
-        self.data.qpos[self._qpos_address] = qpos
-        self.data.qvel[self._qvel_address] = 0.0
-        self.data.ctrl[:] = 0.0
 
+    @abstractmethod
     def forward(self) -> None:
         """Recompute everything that follows from the state, after a change to it."""
-        mujoco.mj_forward(self.model, self.data)
-        self._env.robots[0].composite_controller.reset()
 
+    @abstractmethod
     def tick(self, target: Array) -> None:
-        """One control period towards absolute joint targets (n,), rad or m, through robosuite's controllers."""
-        self._env.step(np.concatenate([target[: self._n_arm], target[self._driven_hand]]))
+        """One control period towards absolute joint targets (n,), rad or m."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free the simulation."""
 
     def touching(self, geoms: Array, others: Array) -> bool:
         """Whether any of the geoms touches any of the others."""
         one, two = self.data.contact.geom.T
         return bool(np.any((np.isin(one, geoms) & np.isin(two, others)) | (np.isin(two, geoms) & np.isin(one, others))))
 
-    def close(self) -> None:
-        """Free the simulation."""
-        self._env.close()
-
-
-def _controllers(arm: ArmSpec) -> dict[str, Any]:
-    config = load_composite_controller_config(controller="BASIC")
-    assert config is not None  # it ships with robosuite
-    parameters = require_absolute_control(arm.name, arm.physics).parameters
-    config["type"] = StillBaseController.name
-    config["body_parts"] = {
-        "right": {
-            "type": "JOINT_POSITION",
-            "input_type": "absolute",
-            # Wider than any joint, so that robosuite neither scales nor clips a target.
-            "input_max": 10,
-            "input_min": -10,
-            "output_max": 10,
-            "output_min": -10,
-            "kp": parameters["kp"],
-            "damping_ratio": parameters["damping_ratio"],
-            "impedance_mode": "fixed",
-            "kp_limits": [0, 1000],
-            "damping_ratio_limits": [0, 10],
-            "qpos_limits": None,
-            "interpolation": None,
-            "ramp_ratio": 0.2,
-            "gripper": {"type": "GRIP", "use_action_scaling": False},
-        }
-    }
-    return config
+    def _place(self, qpos: Array) -> None:
+        self.data.qpos[self._qpos_address] = qpos
+        self.data.qvel[self._qvel_address] = 0.0

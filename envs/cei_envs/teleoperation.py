@@ -16,6 +16,7 @@ from mujoco import viewer
 from scipy.spatial.transform import Rotation
 
 from cei_envs.experts.plan import TOLERANCE_M, InverseKinematics, grip_pose
+from cei_envs.mounted import MountedSimulation
 from cei_envs.simulation import CONTROL_HZ, Simulation
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
@@ -47,10 +48,12 @@ class Teleoperator:
     def __init__(self, device: str, simulation: Simulation, embodiment: Embodiment) -> None:
         if device not in DEVICES:
             raise unknown("device for hand control", device, DEVICES)
+        if not isinstance(simulation, MountedSimulation):
+            raise CEIError(f"hand control is robosuite's, which does not have {embodiment.name}.")
         self._simulation, self._embodiment = simulation, embodiment
         self._solver = InverseKinematics(embodiment, embodiment.home)
         require_display()
-        self._device = open_device(device, simulation._env)
+        self._device = open_device(device, simulation.robosuite)
         # Of the window's own, so that nothing done in it reaches the physics.
         self._shown = mujoco.MjData(simulation.model)
         self._window = open_window(simulation.model, self._shown)

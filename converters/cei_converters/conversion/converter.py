@@ -15,11 +15,12 @@ from cei_converters.conversion.steps import Encode, Judge, OnRecorded, OnRetarge
 from cei_converters.conversion.verify import Verifier, open_stage
 from cei_converters.dataset import schema
 from cei_converters.dataset.carried import with_objects_moved
-from cei_converters.dataset.metadata import SENSORS, START, Environment
+from cei_converters.dataset.metadata import BASE, SENSORS, START, Environment, plain
 from cei_converters.sources import calibration
 from cei_converters.sources.formats import open_source
 from cei_converters.sources.recording import spread
 from cei_converters.sources.source import Source
+from cei_gym.arrays import Array
 from cei_gym.embodiment import load_embodiment, use_package_path
 from cei_gym.errors import CEIError
 from cei_gym.transfer import Transfer
@@ -73,7 +74,7 @@ class Converter:
             for name, reason in with_objects_moved(self.reader.carried).items():
                 self.reader.drop([name], reason)
             self.selected = [index for index in self.selected for _ in range(len(augmentation))]
-        self.environment = _environment(self.reader, config.target)
+        self.environment = _environment(self.reader, config.target, pose)
         self._opened = contextlib.ExitStack()
         verifier = None
         if config.verify.enabled:
@@ -181,11 +182,13 @@ def one_thread() -> contextlib.AbstractContextManager:
     return threadpool_limits(1, user_api="blas")
 
 
-def _environment(reader: Source, target: str) -> Environment:
-    """The source's environment with the robot exchanged; it still starts at that robot's home."""
+def _environment(reader: Source, target: str, T_world_target: Array | None) -> Environment:
+    """The source's environment with the robot exchanged, where it is asked to stand; it still starts at that robot's home."""
     known = reader.metadata.environment if reader.metadata is not None else Environment()
     source = reader.embodiment.name
     if known.id is None or not known.id.endswith(source):
         return Environment()
     kwargs = {name: value for name, value in known.kwargs.items() if name not in (START, SENSORS)}
+    if T_world_target is not None:
+        kwargs[BASE] = plain(T_world_target)
     return Environment(known.id.removesuffix(source) + target, kwargs)

@@ -31,6 +31,8 @@ START = "start_qpos"
 """Argument of environments: where the dataset's own demonstrations start."""
 SENSORS = "sensors"
 """Argument of environments: what the robot feels, for demonstrations; the target's have none of it."""
+BASE = "T_world_base"
+"""Argument of environments: where the robot stands, if it is none that the simulator itself puts somewhere."""
 _OPTIONAL = "scene.table_z_m"
 CONVENTIONS = {
     "world": "right-handed, z up, metres",

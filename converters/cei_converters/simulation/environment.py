@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import load_env_creator
 
-import cei_gym  # noqa: F401  (registers the environments)
+import cei_gym
 from cei_gym.absent import unavailable
 from cei_gym.errors import CEIError, one_line, unknown
 
@@ -20,6 +20,8 @@ def open_environment(env_id: str, **kwargs: Any) -> gym.Env:
     Raises:
         CEIError: no such environment (the message lists the valid ones), none is installed, or it takes no such argument.
     """
+    if env_id not in gym.registry:
+        cei_gym.register_environments()
     ids = [name for name in gym.registry if name.startswith(PREFIX)]
     if env_id not in ids:
         raise unknown("environment", env_id, ids)

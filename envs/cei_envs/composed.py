@@ -1,0 +1,70 @@
+"""The simulation of an embodiment that robosuite does not have: composed (`composing`), driven by position servos."""
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from cei_envs.composing import FORCE, PREFIX, TORQUE, compose, joint_names, scene_without_robot
+from cei_envs.simulation import CONTROL_HZ, Simulation
+from cei_gym.arrays import Array
+from cei_gym.embodiment import Embodiment
+from cei_gym.errors import CEIError
+
+BASE_WORLD_M = (-0.56, 0.0, 0.912)
+"""Where a base stands unless something else is asked for: where robosuite's Panda does."""
+
+
+class ComposedSimulation(Simulation):
+    """A task's scene with any embodiment in it.
+
+    Args:
+        embodiment: arm and end-effector.
+        make: builds the task's robosuite environment from its robot arguments.
+        T_world_base: (4, 4) where the base stands; default: upright at `BASE_WORLD_M`.
+    """
+
+    def __init__(self, embodiment: Embodiment, make: Callable[..., Any], T_world_base: Array | None = None) -> None:
+        if embodiment.arm is None or embodiment.end_effector is None:
+            raise CEIError(f"{embodiment.name}: a simulation needs an arm and an end-effector.")
+        if T_world_base is None:
+            T_world_base = np.eye(4)
+            T_world_base[:3, 3] = BASE_WORLD_M
+        model = compose(scene_without_robot(make), embodiment, T_world_base)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        names = joint_names(embodiment)
+        joints = [model.joint(name).id for name in names]
+        self._coupled = embodiment.coupled
+        self._servos = [model.actuator(names[q]).id for q in self._coupled.independent]
+        base = embodiment.model.body(1).name
+        super().__init__(model, data, joints, np.array(self._coupled.independent), (PREFIX,), PREFIX + base)
+        self.T_world_base = T_world_base
+        self._steps = round(1 / (CONTROL_HZ * model.opt.timestep))
+
+    @property
+    def wrench(self) -> Array:
+        """See `Simulation`; in the frame of the end-effector's first link."""
+        return np.concatenate([self.data.sensor(name).data for name in (FORCE, TORQUE)])
+
+    def reset(self, qpos: Array) -> None:
+        """See `Simulation`."""
+        mujoco.mj_resetData(self.model, self.data)
+        self._place(qpos)
+
+    def forward(self) -> None:
+        """See `Simulation`."""
+        self._aim(self.qpos)
+        mujoco.mj_forward(self.model, self.data)
+
+    def tick(self, target: Array) -> None:
+        """See `Simulation`; followers go where their leaders take them."""
+        self._aim(target)
+        mujoco.mj_step(self.model, self.data, self._steps)
+
+    def _aim(self, target: Array) -> None:
+        self.data.ctrl[self._servos] = self._coupled.reduce(target)
+
+    def close(self) -> None:
+        """See `Simulation`."""
