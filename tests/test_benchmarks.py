@@ -11,6 +11,7 @@ import pytest
 from cei_converters.benchmark.figures import Figure, Manifest
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+ROBOTS = BENCHMARKS.parents[1] / "shared/robots"
 
 
 def run(script: str, tmp_path: Path, *args: str) -> str:
@@ -32,6 +33,38 @@ def depends_on(tmp_path: Path, *names: str) -> Figure:
     assert figure.commit
     assert figure.code in manifest.code
     return figure
+
+
+@pytest.mark.skipif(not ROBOTS.is_dir(), reason="third-party descriptions are not in ../shared/robots")
+def test_census(tmp_path: Path) -> None:
+    printed = run("census.py", tmp_path, "--sets", "shared")
+    result = json.loads((tmp_path / "results/census.json").read_text())
+    assert result["counts"]["shared"] == {"right": 24, "refused": 1, "altered": 0, "not compared": 0}
+    assert "refused: shared, shadow_hand/bimanual.urdf: bimanual.urdf: no such file: 'meshes/visual/" in printed
+    assert depends_on(tmp_path, "census.json").command == "python benchmarks/census.py --sets shared"
+    assert str(ROBOTS) not in (tmp_path / "results/census.json").read_text()
+
+
+def test_what_is_otherwise_than_in_its_file_is_found(tmp_path: Path) -> None:
+    urdf = """<robot name="r"><link name="base"/><link name="tip"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0"
+        ixz="0" iyz="0"/></inertial><collision><geometry><box size="0.1 0.1 {}"/></geometry></collision></link>
+        <joint name="j" type="revolute"><origin xyz="0 0 {}"/><parent link="base"/><child link="tip"/><limit lower="-1" upper="{}"/></joint>
+        </robot>"""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHMARKS)
+        census = runpy.run_path(str(BENCHMARKS / "census.py"))
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf.format(0.2, 0.5, 1))
+    body = census["load"](path)
+    assert [*census["altered"](path, body)] == []
+    for numbers, message in (
+        ((0.3, 0.5, 1), "reaches 50.0 mm"),
+        ((0.2, 0.6, 1), "100.0 mm off"),
+        ((0.2, 0.5, 2), "limits"),
+    ):
+        path.write_text(urdf.format(*numbers))
+        (found,) = census["altered"](path, body)
+        assert message in found
 
 
 def test_alignment(tmp_path: Path) -> None:

@@ -690,6 +690,23 @@ def test_a_home_that_was_given_is_not_moved(tmp_path: Path) -> None:
 # -- links, geoms, mass --------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    "inertial", ["", '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>']
+)
+def test_a_link_without_mass_has_that_of_water_in_what_touches_and_it_is_said(tmp_path: Path, inertial: str) -> None:
+    box, larger = (f'<geometry><box size="{size}"/></geometry>' for size in ("0.1 0.1 0.2", "0.3 0.3 0.3"))
+    (tmp_path / "arm.urdf").write_text(
+        f"""<robot name="r"><link name="base"><visual>{larger}</visual></link>
+        <link name="moved">{inertial}<visual>{larger}</visual><collision>{box}</collision></link>
+        <link name="seen">{inertial}<visual>{box}</visual></link>
+        <joint name="j" type="revolute"><parent link="base"/><child link="moved"/><limit lower="-1" upper="1"/></joint>
+        <joint name="k" type="revolute"><parent link="moved"/><child link="seen"/><limit lower="-1" upper="1"/></joint></robot>"""
+    )
+    arm = build_embodiment(ArmSpec("Arm", str(tmp_path / "arm.urdf"), "seen", {}), None)
+    assert [arm.model.body_mass[arm.body_id(name)] for name in ("moved", "seen")] == pytest.approx([2.0, 2.0])
+    assert arm.notes == ("Arm: no mass is given for 'moved', 'seen'; it is that of water in their shapes.",)
+
+
 @needs_shared
 def test_a_frame_without_mass_may_move() -> None:
     hand = case("massless")

@@ -1,7 +1,7 @@
 """URDF to `mujoco.MjSpec`: what describes a robot is kept, in the way that MuJoCo's parser reads right."""
 
 from collections import Counter
-from math import inf, isnan, pi
+from math import inf, isnan, nan, pi
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -23,6 +23,7 @@ _KEPT = {
 """Element -> those in it that are read. A URDF is open to what other programs add (gazebo, ros2_control, transmissions)."""
 
 _ALMOST_A_TURN, _ENDLESS, _LEAST_MOMENT_KG_M2 = 1.98 * pi, 1e6, 1e-12
+_WATER_KG_M3 = 1000.0
 _SCHEMES = ("package://", "model://")
 _COMPILER = {"strippath": "false", "discardvisual": "false", "fusestatic": "false", "balanceinertia": "true"}
 
@@ -67,6 +68,24 @@ class UrdfReader:
         SubElement(extension, "compiler", _COMPILER)
         tree.insert(0, extension)
         self.spec = mujoco.MjSpec.from_string(tostring(tree, encoding="unicode"), assets=assets.contents)
+        self._estimate_masses(tree)
+
+    def _estimate_masses(self, tree: Element) -> None:
+        """Links on a joint that say no mass have that of their shapes: MuJoCo takes those that touch, where there are any; else it is what is seen."""
+        on_joint = {child.get("link", "") for child in tree.iterfind("joint/child")}
+        estimated: list[str] = []
+        for link in tree.iterfind("link"):
+            name, body = link.get("name", ""), self.spec.body(link.get("name", ""))
+            if name not in on_joint or link.find("inertial/mass") is not None or body is None or not body.geoms:
+                continue
+            estimated.append(name)
+            if not any(geom.contype or geom.conaffinity for geom in body.geoms):
+                shown: list[mujoco.MjsGeom] = list(body.geoms)
+                for geom in shown:
+                    geom.mass, geom.density = nan, _WATER_KG_M3
+        if estimated:
+            names = ", ".join(map(repr, estimated))
+            self.notes.append(f"no mass is given for {names}; it is that of water in their shapes.")
 
     def _read_joint(self, joint: Element) -> None:
         name, kind = joint.get("name", ""), joint.get("type", "")
