@@ -37,6 +37,8 @@ from cei_gym.errors import CEIError
 POSE_M, EXTENT_M, MASS = 1e-4, 1e-3, 1e-3
 POSES = 3
 SETS = ["robosuite", "example-robot-data", "shared"]
+NO_ROBOTS = ["arenas", "bases", "objects"]
+"""Folders of robosuite's."""
 KINDS = ["right", "refused", "altered", "not compared"]
 
 
@@ -44,12 +46,14 @@ def descriptions(folder: Path) -> list[Path]:
     """URDF and MJCF files below a folder; templates, worlds and parts of files are none."""
     found = []
     for path in sorted([*folder.rglob("*.urdf"), *folder.rglob("*.xml")]):
+        if {*NO_ROBOTS} & {*path.relative_to(folder).parts}:
+            continue
         with contextlib.suppress(ElementTree.ParseError, OSError):
             root = ElementTree.parse(path).getroot()
             whole = (
                 root.find(".//link") is not None if root.tag == "robot" else root.find("./worldbody/body") is not None
             )
-            if root.tag in ("robot", "mujoco") and whole:
+
                 found.append(path)
     return found
 
