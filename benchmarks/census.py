@@ -43,17 +43,15 @@ KINDS = ["right", "refused", "altered", "not compared"]
 
 
 def descriptions(folder: Path) -> list[Path]:
-    """URDF and MJCF files below a folder; templates, worlds and parts of files are none."""
-    found = []
+    """URDF and MJCF files of robots below a folder; templates and parts of files are none."""
+    found: list[Path] = []
     for path in sorted([*folder.rglob("*.urdf"), *folder.rglob("*.xml")]):
         if {*NO_ROBOTS} & {*path.relative_to(folder).parts}:
             continue
         with contextlib.suppress(ElementTree.ParseError, OSError):
             root = ElementTree.parse(path).getroot()
-            whole = (
-                root.find(".//link") is not None if root.tag == "robot" else root.find("./worldbody/body") is not None
-            )
-
+            robot = {"robot": "./link", "mujoco": "./worldbody/body"}.get(root.tag)
+            if robot is not None and root.find(robot) is not None:
                 found.append(path)
     return found
 
