@@ -285,7 +285,7 @@ def main() -> None:
     for row in rows:
         if row["becomes"] != "right":
             print(f"{row['becomes']}: {row['set']}, {row['file']}: {row['why']}")
-    save(arguments.results / "census.json", {"counts": counts, "descriptions": rows})
+    save(arguments.results / "census.json", {"seeds": [0, 0], "counts": counts, "descriptions": rows})
 
 
 if __name__ == "__main__":
