@@ -8,6 +8,7 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
+import robosuite
 from gymnasium.utils.env_checker import check_env
 from PIL import Image
 
@@ -16,9 +17,11 @@ from cei_converters import convert, record, replay
 from cei_converters.simulation.environment import open_environment
 from cei_envs.composing import joint_names
 from cei_envs.environment import CEIEnv
+from cei_envs.simulate import mountable
 from cei_envs.simulation import CONTROL_HZ
 from cei_gym.embodiment import Embodiment, load_embodiment
 from cei_gym.errors import CEIError
+from lerobot_env_cei.configuration import CEIEnvConfig
 
 SPECIFICATIONS = Path(cei_gym.__file__).parent / "embodiment/specifications"
 SHARED = Path(__file__).parents[2] / "shared/robots"
@@ -225,6 +228,20 @@ def test_robosuite_says_where_its_robots_stand() -> None:
     opened("Panda-Inspire", T_world_base=place.tolist()).close()
 
 
+def test_a_name_of_robosuites_is_not_enough_to_be_its_robot(own: Path) -> None:
+    path = own / "arms/Copy.yaml"
+    path.write_text((SPECIFICATIONS / "arms/Panda.yaml").read_text().replace("name: Panda", "name: Copy", 1))
+    cei_gym.register_environments()
+    assert mountable(load_embodiment("Copy-Inspire"))
+    shutil.copytree(Path(robosuite.__file__).parent / "models/assets/robots/panda", own / "panda")
+    path.write_text(
+        path.read_text().replace("package://robosuite/models/assets/robots/panda/robot.xml", "../panda/robot.xml")
+    )
+    load_embodiment.cache_clear()
+    assert not mountable(load_embodiment("Copy-Inspire"))
+    path.unlink()
+
+
 def test_a_folder_that_is_missing_takes_no_environments_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CEI_GYM_EMBODIMENTS", str(tmp_path / "none"))
     with pytest.warns(UserWarning, match="CEI_GYM_EMBODIMENTS: no such folder"):
@@ -258,6 +275,12 @@ def test_converted_demonstrations_are_verified_in_it_wherever_it_stands(recorded
     options = ["--dataset.repo_id=me/new", f"--dataset.root={tmp_path / 'new'}", f"--json={tmp_path}/replay.json"]
     assert replay.main([*options, "--video_episodes=0"]) == 0
     assert json.loads((tmp_path / "replay.json").read_text())["successes"] == 2
+    (vector,) = CEIEnvConfig(dataset=str(tmp_path / "new")).create_envs(1)["cei"].values()
+    place = vector.get_attr("scene")[0].T_world_base
+    np.testing.assert_allclose(place[:3, 3], [-0.5, 0.05, 0.9])
+    observation, _ = vector.reset(seed=0)
+    vector.step(observation["agent_pos"])
+    vector.close()
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="third-party descriptions are not in ../shared/robots")

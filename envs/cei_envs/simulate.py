@@ -11,6 +11,7 @@ from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 
 _SAME_PLACE_M = 1e-3
+_ROBOSUITE = "package://robosuite/"
 
 
 def simulate(
@@ -48,9 +49,11 @@ def simulate(
 
 
 def mountable(embodiment: Embodiment) -> bool:
-    """Whether robosuite has both parts of an embodiment."""
+    """Whether robosuite has both parts of an embodiment: by a name there, and from the very description."""
     parts = (embodiment.arm, embodiment.end_effector)
-    return all(part is None or bool(part.simulator_name) for part in parts)
+    return all(
+        part is None or (bool(part.simulator_name) and part.description.startswith(_ROBOSUITE)) for part in parts
+    )
 
 
 def _checked(pose: Sequence[Sequence[float]]) -> Array:
