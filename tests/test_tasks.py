@@ -11,7 +11,7 @@ from rollouts import make, wander
 
 from cei_envs.environment import CEIEnv
 from cei_envs.experts import make_expert
-from cei_envs.simulation import StillBaseController
+from cei_envs.mounted import StillBaseController
 from cei_gym.embodiment import load_end_effector
 from cei_gym.errors import CEIError
 
