@@ -223,7 +223,7 @@ def test_importing_does_not_load_what_it_does_not_need(code: str, absent: set[st
 
 
 def test_either_package_may_be_imported_first() -> None:
-    for first in ("cei_envs", "cei_envs.simulation", "cei_gym.embodiment", "cei_envs.registration"):
+    for first in ("cei_envs", "cei_envs.simulate", "cei_envs.composed", "cei_gym.embodiment", "cei_envs.registration"):
         code = f"import {first}, cei_gym, gymnasium; gymnasium.spec('CEI-PickCube-UR5e-Inspire')"
         assert "cei_gym" in loaded(code)
 

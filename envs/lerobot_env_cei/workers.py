@@ -5,7 +5,7 @@ import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 
-PRELOADED = ["cei_envs.rollout", "cei_envs.environment", "cei_envs.simulation"]
+PRELOADED = ["cei_envs.rollout", "cei_envs.environment", "cei_envs.mounted"]
 
 
 @contextmanager
