@@ -228,6 +228,30 @@ def test_robosuite_says_where_its_robots_stand() -> None:
     opened("Panda-Inspire", T_world_base=place.tolist()).close()
 
 
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "CEI-PickCube-LabArm2-LabHand",
+            "CEI-PickCube-LabArm2-LabHand: unknown arm 'LabArm2'. Did you mean 'LabArm'? Valid: UR5e, ",
+        ),
+        (
+            "CEI-PickCube-LabArm-Hand",
+            "PandaGripper, LabHand. One of your own is a YAML in a folder that CEI_GYM_EMBODIMENTS names.",
+        ),
+        (
+            "CEI-PickCubes-LabArm-LabHand",
+            "unknown task 'PickCubes'. Did you mean 'PickCube'? Valid: OpenDrawer, PickCube, StackCube.",
+        ),
+        ("CEI-PickCube", "unknown environment 'CEI-PickCube'. Did you mean"),
+    ],
+)
+def test_what_of_an_environments_name_is_unknown_is_said(name: str, message: str) -> None:
+    with pytest.raises(CEIError) as error:
+        open_environment(name)
+    assert message in str(error.value)
+
+
 def test_a_name_of_robosuites_is_not_enough_to_be_its_robot(own: Path) -> None:
     path = own / "arms/Copy.yaml"
     path.write_text((SPECIFICATIONS / "arms/Panda.yaml").read_text().replace("name: Panda", "name: Copy", 1))

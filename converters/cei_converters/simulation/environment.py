@@ -9,6 +9,8 @@ from gymnasium.envs.registration import load_env_creator
 
 import cei_gym
 from cei_gym.absent import unavailable
+from cei_gym.embodiment import arm_names, end_effector_names
+from cei_gym.embodiment.catalogue import FOLDERS
 from cei_gym.errors import CEIError, one_line, unknown
 
 PREFIX = "CEI-"
@@ -24,7 +26,7 @@ def open_environment(env_id: str, **kwargs: Any) -> gym.Env:
         cei_gym.register_environments()
     ids = [name for name in gym.registry if name.startswith(PREFIX)]
     if env_id not in ids:
-        raise unknown("environment", env_id, ids)
+        raise _unknown(env_id, ids)
     check_arguments(env_id, kwargs)
     try:
         return gym.make(env_id, **kwargs)
@@ -32,6 +34,19 @@ def open_environment(env_id: str, **kwargs: Any) -> gym.Env:
         raise
     except (TypeError, ValueError, AssertionError, gym.error.Error) as error:  # arguments may come from a dataset
         raise CEIError(f"{env_id} cannot be opened with {one_line(kwargs, 100)}: {one_line(error)}") from error
+
+
+def _unknown(env_id: str, ids: list[str]) -> CEIError:
+    """What of an id is not known: its task, its arm or its end-effector, where it is made like ours."""
+    prefix, *parts = env_id.split("-")
+    if f"{prefix}-" == PREFIX and len(parts) == 3:
+        tasks = list(dict.fromkeys(name.split("-")[1] for name in ids))
+        kinds = {"task": tasks, "arm": arm_names(), "end-effector": end_effector_names()}
+        for (kind, valid), name in zip(kinds.items(), parts, strict=True):
+            if name not in valid:
+                own = "" if kind == "task" else f" One of your own is a YAML in a folder that {FOLDERS} names."
+                return CEIError(f"{env_id}: {unknown(kind, name, valid)}{own}")
+    return unknown("environment", env_id, ids)
 
 
 def check_arguments(env_id: str, kwargs: Mapping[str, Any]) -> None:
