@@ -5,7 +5,7 @@ usage: python benchmarks/census.py [--sets robosuite example-robot-data shared] 
 The sets: what the robosuite wheel ships, what PyPI's example-robot-data does (`pip install --no-deps example-robot-data`), and ../shared/robots.
 Every URDF and MJCF in them is loaded as an arm and, if that succeeds, held against readers that share no code with ours: of a URDF, a
 few lines of scipy say where links are in three random poses, trimesh how far each link's meshes reach, and the file itself masses and
-limits; of an MJCF, MuJoCo itself says all of that, where it opens the file. What differs and is said in no note is "altered".
+limits; of an MJCF, MuJoCo itself says where links are, masses and limits, where it opens the file. What differs and is said in no note is "altered".
 Writes census.json.
 """
 
@@ -32,7 +32,7 @@ from tqdm import tqdm
 
 from cei_gym.embodiment import ArmSpec, Embodiment, build_embodiment, use_package_path
 from cei_gym.embodiment.meshes import link_mesh
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, one_line
 
 POSE_M, EXTENT_M, MASS = 1e-4, 1e-3, 1e-3
 POSES = 3
@@ -40,6 +40,10 @@ SETS = ["robosuite", "example-robot-data", "shared"]
 NO_ROBOTS = ["arenas", "bases", "objects"]
 """Folders of robosuite's."""
 KINDS = ["right", "refused", "altered", "not compared"]
+
+
+class NotComparableError(Exception):
+    """No other reader says what a description should become."""
 
 
 def descriptions(folder: Path) -> list[Path]:
@@ -174,9 +178,9 @@ def _vertices(path: Path, shape: ElementTree.Element) -> np.ndarray:
         if file.is_file():
             mesh: Any = trimesh.load(file, force="mesh", process=False)
             if not len(mesh.faces):
-                raise FileNotFoundError(f"trimesh finds nothing in {name}")
+                raise NotComparableError(f"trimesh finds nothing in {name}")
             return scale * mesh.vertices[np.unique(mesh.faces)]
-    raise FileNotFoundError(name)
+    raise NotComparableError(f"{name} is not where its name says")
 
 
 def _numbers(root: ElementTree.Element, body: Embodiment) -> Iterator[str]:
@@ -203,8 +207,8 @@ def _numbers(root: ElementTree.Element, body: Embodiment) -> Iterator[str]:
 def _against_mujoco(path: Path, body: Embodiment) -> Iterator[str]:
     try:
         theirs = mujoco.MjModel.from_xml_path(str(path))
-    except ValueError:
-        return  # MuJoCo cannot say
+    except ValueError as error:
+        raise NotComparableError(f"MuJoCo itself does not open it: {one_line(error)}") from error
     ours, rng = body.model, np.random.default_rng(0)
     data, other = mujoco.MjData(ours), mujoco.MjData(theirs)
     names = {theirs.joint(j).name for j in range(theirs.njnt)} & {*body.joint_names}
@@ -220,6 +224,10 @@ def _against_mujoco(path: Path, body: Embodiment) -> Iterator[str]:
             if found > 0 and (off := np.linalg.norm(data.xpos[link] - other.xpos[found])) > POSE_M:
                 yield f"link {name} is {1e3 * off:.1f} mm off"
                 return
+    for name in names:
+        ranges = [each.joint(name).range for each in (ours, theirs)]
+        if theirs.joint(name).limited and not np.allclose(*ranges, atol=1e-6):
+            yield f"joint {name} has limits of {ranges[0]} for {ranges[1]}"
     for link in range(1, ours.nbody):
         found = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_BODY, ours.body(link).name)
         if found > 0 and abs(ours.body_mass[link] - theirs.body_mass[found]) > MASS * max(ours.body_mass[link], 1e-3):
@@ -235,8 +243,8 @@ def judge(path: Path) -> dict[str, str]:
             found = [*altered(path, body)]
     except CEIError as error:
         return {"becomes": "refused", "why": str(error)}
-    except FileNotFoundError as error:
-        return {"becomes": "not compared", "why": f"no such file: {error}"}
+    except NotComparableError as error:
+        return {"becomes": "not compared", "why": str(error)}
     if found:
         said = "; ".join(body.notes)
         return {"becomes": "altered", "why": "; ".join(found[:5]), "notes": said}

@@ -53,6 +53,17 @@ def finite_row(value: object, count: int) -> Array:
     return array
 
 
+def is_pose(T: Array) -> bool:
+    """Whether an array is a rigid transform, [[R, t], [0, 0, 0, 1]]."""
+    return bool(
+        T.shape == (4, 4)
+        and np.isfinite(T).all()
+        and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-4)
+        and np.linalg.det(T[:3, :3]) > 0
+        and np.allclose(T[3], (0, 0, 0, 1))
+    )
+
+
 def _load(parse: Callable[[str], Any], text: str) -> Any:
     try:
         return parse(text)

@@ -12,9 +12,6 @@ from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 
-BASE_WORLD_M = (-0.56, 0.0, 0.912)
-"""Where a base stands unless something else is asked for: where robosuite's Panda does."""
-
 
 class ComposedSimulation(Simulation):
     """A task's scene with any embodiment in it.
@@ -22,25 +19,22 @@ class ComposedSimulation(Simulation):
     Args:
         embodiment: arm and end-effector.
         make: builds the task's robosuite environment from its robot arguments.
-        T_world_base: (4, 4) where the base stands; default: upright at `BASE_WORLD_M`.
+        T_world_base: (4, 4) where the base stands; default: where robosuite's Panda stands in this task.
     """
 
     def __init__(self, embodiment: Embodiment, make: Callable[..., Any], T_world_base: Array | None = None) -> None:
         if embodiment.arm is None or embodiment.end_effector is None:
             raise CEIError(f"{embodiment.name}: a simulation needs an arm and an end-effector.")
-        if T_world_base is None:
-            T_world_base = np.eye(4)
-            T_world_base[:3, 3] = BASE_WORLD_M
-        model = compose(scene_without_robot(make), embodiment, T_world_base)
+        scene, T_world_panda = scene_without_robot(make)
+        T_world_base = T_world_panda if T_world_base is None else T_world_base
+        model = compose(scene, embodiment, T_world_base)
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         names = joint_names(embodiment)
         joints = [model.joint(name).id for name in names]
         self._coupled = embodiment.coupled
         self._servos = [model.actuator(names[q]).id for q in self._coupled.independent]
-        base = embodiment.model.body(1).name
-        super().__init__(model, data, joints, np.array(self._coupled.independent), (PREFIX,), PREFIX + base)
-        self.T_world_base = T_world_base
+        super().__init__(model, data, joints, np.array(self._coupled.independent), (PREFIX,), T_world_base)
         self._steps = round(1 / (CONTROL_HZ * model.opt.timestep))
 
     @property

@@ -1,6 +1,6 @@
 """A scene of robosuite's with any embodiment in it, composed from compiled descriptions and driven by position servos.
 
-What robosuite can mount, robosuite mounts (`simulation`). Everything else stands here where its robot stood: the base on a pedestal, a servo on
+What robosuite can mount, robosuite mounts (`mounted`). Everything else stands here where its robot stood: the base on a pedestal, a servo on
 each independent joint, followers held by equality constraints, its weight borne, as a controller bears it.
 """
 
@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from cei_envs.simulation import pose_of
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment, describe
 from cei_gym.embodiment.names import END_EFFECTOR_PREFIX
@@ -25,8 +26,8 @@ _PEDESTAL_HALF_M = 0.1
 _EQUALITY_STIFFNESS_S = 0.004
 
 
-def scene_without_robot(make: Callable[..., Any]) -> mujoco.MjSpec:
-    """What a task has beside its robot: arena, objects, lights.
+def scene_without_robot(make: Callable[..., Any]) -> tuple[mujoco.MjSpec, Array]:
+    """What a task has beside its robot: arena, objects, lights; and (4, 4) where robosuite's Panda stands in it.
 
     Args:
         make: builds the robosuite environment from its robot arguments.
@@ -35,13 +36,14 @@ def scene_without_robot(make: Callable[..., Any]) -> mujoco.MjSpec:
         robots=_STAND_IN, use_camera_obs=False, has_renderer=False, has_offscreen_renderer=False, ignore_done=True
     )
     spec = mujoco.MjSpec.from_string(env.sim.model.get_xml())
+    T_world_base = pose_of(env.sim.data._data, env.robots[0].robot_model.root_body)
     env.close()
     for body in [body for body in spec.worldbody.bodies if body.name.startswith(_OF_THE_STAND_IN)]:
         spec.delete(body)
     used = {geom.meshname for geom in spec.geoms}
     for mesh in [mesh for mesh in spec.meshes if mesh.name not in used]:
         spec.delete(mesh)
-    return spec
+    return spec, T_world_base
 
 
 def compose(scene: mujoco.MjSpec, embodiment: Embodiment, T_world_base: Array) -> mujoco.MjModel:

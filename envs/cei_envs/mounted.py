@@ -10,7 +10,7 @@ from robosuite.controllers import load_composite_controller_config
 from robosuite.controllers.composite.composite_controller import CompositeController, register_composite_controller
 
 from cei_envs.gripper import register_gripper, require_absolute_control
-from cei_envs.simulation import CONTROL_HZ, Simulation
+from cei_envs.simulation import CONTROL_HZ, Simulation, pose_of
 from cei_gym.arrays import Array
 from cei_gym.embodiment import ArmSpec, Embodiment
 from cei_gym.errors import CEIError
@@ -80,13 +80,14 @@ class MountedSimulation(Simulation):
         self._driven_hand = [index[model.actuator_trnid[a, 0]] for a in actuators]
         self._n_arm = embodiment.n_arm
         self._hand = hand
+        data: mujoco.MjData = self.robosuite.sim.data._data
         super().__init__(
             model,
-            self.robosuite.sim.data._data,
+            data,
             joints,
             np.array([*range(embodiment.n_arm), *self._driven_hand]),
             (arm, hand),
-            robot.robot_model.root_body,
+            pose_of(data, robot.robot_model.root_body),
         )
 
     @property

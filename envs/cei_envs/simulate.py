@@ -9,6 +9,7 @@ from cei_envs.simulation import Simulation
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
+from cei_gym.untrusted import is_pose
 
 _SAME_PLACE_M = 1e-3
 _ROBOSUITE = "package://robosuite/"
@@ -61,13 +62,6 @@ def _checked(pose: Sequence[Sequence[float]]) -> Array:
         matrix = np.array(pose, float)
     except (TypeError, ValueError):
         matrix = np.empty(0)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise CEIError("T_world_base is a pose, four rows of four numbers.")
-    rotation = matrix[:3, :3]
-    if (
-        not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
-        or np.linalg.det(rotation) < 0
-        or (matrix[3] != [0, 0, 0, 1]).any()
-    ):
-        raise CEIError("T_world_base is no pose: its rotation is none, or its last row is not 0, 0, 0, 1.")
+    if not is_pose(matrix):
+        raise CEIError("T_world_base should be a 4x4 rigid transform [[R, t], [0, 0, 0, 1]].")
     return matrix

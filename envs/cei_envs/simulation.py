@@ -19,12 +19,11 @@ class Simulation(ABC):
         joints: of the model, one for each of the embodiment's.
         driven: indices into the embodiment's joints that targets move, as its actuators have them.
         prefixes: of the names of the robot's bodies.
-        base: body that is the robot's base.
+        T_world_base: (4, 4) pose of its base, which stands still.
 
     Attributes:
-        model, data, driven: as given.
+        model, data, driven, T_world_base: as given.
         robot_geoms: geoms of arm and end-effector.
-        T_world_base: (4, 4) pose of the base, which stands still.
     """
 
     def __init__(
@@ -34,17 +33,13 @@ class Simulation(ABC):
         joints: Sequence[int],
         driven: Array,
         prefixes: tuple[str, ...],
-        base: str,
+        T_world_base: Array,
     ) -> None:
-        self.model, self.data, self.driven = model, data, driven
+        self.model, self.data, self.driven, self.T_world_base = model, data, driven, T_world_base
         self._qpos_address = model.jnt_qposadr[joints]
         self._qvel_address = model.jnt_dofadr[joints]
         owner = [model.body(b).name for b in model.geom_bodyid]
         self.robot_geoms = np.flatnonzero([name.startswith(prefixes) for name in owner])
-        place = data.body(base)
-        self.T_world_base = np.eye(4)
-        self.T_world_base[:3, 3] = place.xpos
-        self.T_world_base[:3, :3] = place.xmat.reshape(3, 3)
 
     @property
     def qpos(self) -> Array:
@@ -80,3 +75,11 @@ class Simulation(ABC):
     def _place(self, qpos: Array) -> None:
         self.data.qpos[self._qpos_address] = qpos
         self.data.qvel[self._qvel_address] = 0.0
+
+
+def pose_of(data: mujoco.MjData, body: str) -> Array:
+    """(4, 4) pose of a body in the world."""
+    place, T_world_body = data.body(body), np.eye(4)
+    T_world_body[:3, 3] = place.xpos
+    T_world_body[:3, :3] = place.xmat.reshape(3, 3)
+    return T_world_body

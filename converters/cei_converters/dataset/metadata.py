@@ -16,7 +16,7 @@ from draccus.utils import DraccusException
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
 from cei_gym.errors import CEIError, one_line
-from cei_gym.untrusted import load_json
+from cei_gym.untrusted import is_pose, load_json
 
 FORMAT_VERSION = "2.0"
 READABLE = ("1", "2")
@@ -244,14 +244,7 @@ def check_scene(scene: Scene, where: str) -> None:
 
 
 def _check_pose(T: Array, where: str) -> None:
-    rigid = (
-        T.shape == (4, 4)
-        and np.isfinite(T).all()
-        and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-4)
-        and np.linalg.det(T[:3, :3]) > 0
-        and np.allclose(T[3], (0, 0, 0, 1))
-    )
-    if not rigid:
+    if not is_pose(T):
         raise CEIError(f"{where} should be a 4x4 rigid transform [[R, t], [0, 0, 0, 1]].")
 
 
