@@ -36,6 +36,8 @@ EXTRAS = {
     "cluster": Extra("datatrove", ("datatrove", "loguru", "multiprocess")),
     "ray": Extra("Ray", ("ray",)),
     "view": Extra("rerun", ("rerun",)),
+    "show": Extra("viser", ("viser",)),
+    "descriptions": Extra("robot_descriptions and mujoco-menagerie", ("robot_descriptions", "mujoco_menagerie")),
     "torch": Extra("torch", ("torch", "pytorch_kinematics")),
 }
 """The extras by name. What each of them brings besides is in pyproject.toml."""

@@ -58,6 +58,8 @@ class _Part(_Checked):
     angle: str
     couplings: dict[str, Coupling]
     package_path: list[str]
+    mount_pos_m: list[float]
+    mount_quat_wxyz: list[float]
     folder: str
 
     def __post_init__(self) -> None:
@@ -69,6 +71,10 @@ class _Part(_Checked):
             raise CEIError(f"`inertia_groups` of {self.name} should be two of 0 to 5, not {groups}.")
         if self.angle not in ("", "radian", "degree"):
             raise unknown(f"angle of {self.name}", self.angle, ["radian", "degree"])
+        if len(self.mount_pos_m) not in (0, 3):
+            raise CEIError(f"`mount_pos_m` of {self.name} should be 3 numbers, not {self.mount_pos_m}.")
+        if self.mount_quat_wxyz and (len(self.mount_quat_wxyz) != 4 or not any(self.mount_quat_wxyz)):
+            raise CEIError(f"`mount_quat_wxyz` of {self.name} should be 4 numbers, not {self.mount_quat_wxyz}.")
         super().__post_init__()
 
 
@@ -157,7 +163,8 @@ class ArmSpec(_Part):
     Attributes:
         name: that of the file; no hyphen.
         description: path of the MJCF or URDF, from the YAML's folder, or `package://<package>/<path>`.
-        mount_body: the flange.
+        mount_body: the flange's link.
+        mount_pos_m, mount_quat_wxyz: pose of the flange in that link; empty is its frame. Flanges' z points out of the arm.
         home: joint to its rest position, rad or m.
         physics: departures from the simulator's physics.
         root_body: subtree that is the arm, its first frame the base; empty means all of the description.
@@ -177,6 +184,8 @@ class ArmSpec(_Part):
     description: str
     mount_body: str
     home: dict[str, float]
+    mount_pos_m: list[float] = field(default_factory=list[float])
+    mount_quat_wxyz: list[float] = field(default_factory=list[float])
     max_velocity: dict[str, float] = field(default_factory=dict[str, float])
     root_body: str = ""
     joints: list[str] = field(default_factory=list[str])
@@ -233,10 +242,6 @@ class EndEffectorSpec(_Part):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.mount_pos_m) not in (0, 3):
-            raise CEIError(f"`mount_pos_m` of {self.name} should be 3 numbers, not {self.mount_pos_m}.")
-        if self.mount_quat_wxyz and (len(self.mount_quat_wxyz) != 4 or not any(self.mount_quat_wxyz)):
-            raise CEIError(f"`mount_quat_wxyz` of {self.name} should be 4 numbers, not {self.mount_quat_wxyz}.")
         if not self.compliance > 0:
             raise CEIError(f"`compliance` of {self.name} should be above 0, not {self.compliance}.")
 

@@ -60,6 +60,7 @@ inspect = partial(run, "inspection.command", "cei-inspect", _LEROBOT)
 replay = partial(run, "replay", "cei-replay", _LEROBOT)
 restore = partial(run, "restore", "cei-restore", _LEROBOT)
 pads = partial(run, "pads", "cei-pads")
+robot = partial(run, "robot.command", "cei-robot")
 view = partial(run, "view.command", "cei-view", _LEROBOT, "view")
 benchmark = partial(run, "benchmark.command", "cei-benchmark", _LEROBOT)
 
