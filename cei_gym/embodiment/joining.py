@@ -1,5 +1,6 @@
 """The descriptions of an arm and an end-effector joined to one, with what they say of couplings and speeds."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
@@ -13,6 +14,8 @@ from cei_gym.embodiment.names import END_EFFECTOR_PREFIX
 from cei_gym.embodiment.resources import Place, locate, packages_beside
 from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec
 from cei_gym.errors import CEIError, unknown
+
+_BARE_KG, _BARE_KG_M2 = 1e-3, 1e-6
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ def join(arm: ArmSpec | None, end_effector: EndEffectorSpec | None, relative_to:
         descriptions.append(description)
         spec, held = _subtree(arm, description)
         if end_effector is not None:
-            _leave_to_hand(spec, description, end_effector, relative_to)
+            _leave_to_hand(arm, spec, description, end_effector, relative_to)
         flange = spec.body(arm.mount_body)
         if flange is None:
             raise unknown(f"mount_body of {arm.name}", arm.mount_body, [b.name for b in spec.bodies])
@@ -71,12 +74,13 @@ def join(arm: ArmSpec | None, end_effector: EndEffectorSpec | None, relative_to:
         description = _load(end_effector, relative_to, plain, notes)
         descriptions.append(description)
         root = _root(end_effector, description, notes)
+        _only(description.spec, end_effector, root.find_all("joint"))
         inside = {joint.name for joint in root.find_all("joint")}
         couplings |= {
             END_EFFECTOR_PREFIX + name: Coupling(END_EFFECTOR_PREFIX + c.joint, c.scale, c.offset, c.ignore_limits)
             for name, c in _couplings(end_effector, description, description.spec, inside, notes).items()
         }
-        _attach(flange, root, end_effector, description)
+        _attach(arm, flange, root, end_effector, description)
         max_velocity |= {END_EFFECTOR_PREFIX + name: speed for name, speed in description.max_velocity.items()}
     return Joined(spec, descriptions, couplings, max_velocity, held, notes)
 
@@ -113,13 +117,10 @@ def _couplings(
 
 def _subtree(arm: ArmSpec, description: Description) -> tuple[mujoco.MjSpec, set[str]]:
     """The description, or the part of it that is the arm: of a humanoid, say; and the links whose joints are held."""
-    spec, links = description.spec, set()
-    if arm.joints:
-        names = [joint.name for joint in spec.joints]
-        for joint in arm.joints:
-            if joint not in names:
-                raise unknown(f"joint in joints of {arm.name}", joint, names)
-        links = _hold(spec, {joint.name for joint in spec.joints} - set(arm.joints))
+    spec = description.spec
+    links = _only(spec, arm, spec.joints)
+    if arm.until_body:
+        _end_at(spec, arm)
     if not arm.root_body:
         return spec, links
     root = spec.body(arm.root_body)
@@ -129,6 +130,24 @@ def _subtree(arm: ArmSpec, description: Description) -> tuple[mujoco.MjSpec, set
     root.pos, root.quat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
     whole.worldbody.add_frame().attach_body(root, "", "")
     return whole, links
+
+
+def _end_at(spec: mujoco.MjSpec, arm: ArmSpec) -> None:
+    """Take away an arm's links from `until_body` on; of one that is the flange, its frame and its joint stay."""
+    end = spec.body(arm.until_body)
+    if end is None:
+        raise unknown(f"until_body of {arm.name}", arm.until_body, [b.name for b in spec.bodies])
+    if arm.until_body != arm.mount_body:
+        _hold(spec, {joint.name for joint in end.find_all("joint")})
+        spec.delete(end)
+        return
+    for child in list(end.bodies):
+        _hold(spec, {joint.name for joint in child.find_all("joint")})
+        spec.delete(child)
+    for geom in list(end.geoms):
+        spec.delete(geom)
+    # As much as a joint needs; what it carried is the end-effector's.
+    end.explicitinertial, end.mass, end.ipos, end.inertia = True, _BARE_KG, np.zeros(3), np.full(3, _BARE_KG_M2)
 
 
 def _hold(spec: mujoco.MjSpec, held: set[str]) -> set[str]:
@@ -154,11 +173,13 @@ def _hold(spec: mujoco.MjSpec, held: set[str]) -> set[str]:
 
 
 def _leave_to_hand(
-    spec: mujoco.MjSpec, description: Description, end_effector: EndEffectorSpec, relative_to: Path
+    arm: ArmSpec, spec: mujoco.MjSpec, description: Description, end_effector: EndEffectorSpec, relative_to: Path
 ) -> None:
     """Where one file describes both, the links from the end-effector's root on are not the arm's, too."""
     root = spec.body(end_effector.root_body) if end_effector.root_body else None
-    if root is not None and _place(end_effector, relative_to).path == description.assets.place.path:
+    if root is None or root.name == arm.until_body == arm.mount_body:
+        return
+    if _place(end_effector, relative_to).path == description.assets.place.path:
         _hold(spec, {joint.name for joint in root.find_all("joint")})
         spec.delete(root)
 
@@ -181,7 +202,20 @@ def _root(part: EndEffectorSpec, description: Description, notes: list[str]) -> 
     return root
 
 
-def _attach(flange: mujoco.MjsBody, root: mujoco.MjsBody, spec: EndEffectorSpec, description: Description) -> None:
+def _only(spec: mujoco.MjSpec, part: ArmSpec | EndEffectorSpec, inside: Iterable[mujoco.MjsJoint]) -> set[str]:
+    """Hold the joints of a part that its YAML does not list as its own; returns the links that they moved."""
+    if not part.joints:
+        return set()
+    names = {joint.name for joint in inside}
+    for joint in part.joints:
+        if joint not in names:
+            raise unknown(f"joint in joints of {part.name}", joint, names)
+    return _hold(spec, names - set(part.joints))
+
+
+def _attach(
+    arm: ArmSpec | None, flange: mujoco.MjsBody, root: mujoco.MjsBody, spec: EndEffectorSpec, description: Description
+) -> None:
     hand = description.spec
     disabled = {e.kind for e in spec.physics if not e.enabled}
     if spec.mount_pos_m and "mount" not in disabled:
@@ -200,4 +234,9 @@ def _attach(flange: mujoco.MjsBody, root: mujoco.MjsBody, spec: EndEffectorSpec,
                     geom.mass = mass_kg
     if spec.inertia_groups:
         hand.compiler.inertiagrouprange = spec.inertia_groups
-    flange.add_frame().attach_body(root, END_EFFECTOR_PREFIX, "")
+    frame = flange.add_frame()
+    if arm is not None and arm.mount_pos_m:
+        frame.pos = arm.mount_pos_m
+    if arm is not None and arm.mount_quat_wxyz:
+        frame.quat = arm.mount_quat_wxyz
+    frame.attach_body(root, END_EFFECTOR_PREFIX, "")

@@ -57,6 +57,7 @@ class _Part(_Checked):
     inertia_groups: list[int]
     angle: str
     couplings: dict[str, Coupling]
+    joints: list[str]
     package_path: list[str]
     mount_pos_m: list[float]
     mount_quat_wxyz: list[float]
@@ -169,6 +170,8 @@ class ArmSpec(_Part):
         physics: departures from the simulator's physics.
         root_body: subtree that is the arm, its first frame the base; empty means all of the description.
         joints: those of the description that are the arm's; others are held where they are drawn; empty means all.
+        until_body: the first link that is an end-effector's and no more the arm's, where one file has both; what hangs on it goes with it,
+            but if it is `mount_body` its frame and joint stay.
         inertia_groups: first and last group of the geoms that have mass, where the description leaves that to the file
             that includes it.
         max_velocity: largest speed of joints, rad/s or m/s; the others have their URDF's, or a default.
@@ -189,6 +192,7 @@ class ArmSpec(_Part):
     max_velocity: dict[str, float] = field(default_factory=dict[str, float])
     root_body: str = ""
     joints: list[str] = field(default_factory=list[str])
+    until_body: str = ""
     inertia_groups: list[int] = field(default_factory=list[int])
     simulator_name: str = ""
     physics: list[PhysicsException] = field(default_factory=list[PhysicsException])
@@ -208,6 +212,7 @@ class EndEffectorSpec(_Part):
         pads: of its fingers.
         physics: departures from the simulator's physics.
         root_body: subtree to attach; empty means the description's first body.
+        joints: those of the subtree that are the end-effector's; others are held where they are drawn; empty means all.
         angle: "radian" or "degree" where the description does not say (MJCF then means degrees).
         inertia_groups: as for an arm.
         mount_pos_m, mount_quat_wxyz: pose of the root body on the flange; empty keeps the description's own.
@@ -229,6 +234,7 @@ class EndEffectorSpec(_Part):
     max_velocity: dict[str, float] = field(default_factory=dict[str, float])
     compliance: float = 1.0
     root_body: str = ""
+    joints: list[str] = field(default_factory=list[str])
     angle: str = ""
     inertia_groups: list[int] = field(default_factory=list[int])
     mount_pos_m: list[float] = field(default_factory=list[float])

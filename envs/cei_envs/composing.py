@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from cei_envs.simulation import pose_of
+from cei_envs.stand_in import CEIStandIn
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment, describe
 from cei_gym.embodiment.names import END_EFFECTOR_PREFIX
@@ -20,7 +21,6 @@ PREFIX = "robot/"
 FORCE, TORQUE = f"{PREFIX}force", f"{PREFIX}torque"
 """Sensors between arm and end-effector."""
 
-_STAND_IN = "Panda"
 _OF_THE_STAND_IN = ("robot0_", "left_eef_target", "right_eef_target")
 _PEDESTAL_HALF_M = 0.1
 _EQUALITY_STIFFNESS_S = 0.004
@@ -33,7 +33,7 @@ def scene_without_robot(make: Callable[..., Any]) -> tuple[mujoco.MjSpec, Array]
         make: builds the robosuite environment from its robot arguments.
     """
     env = make(
-        robots=_STAND_IN, use_camera_obs=False, has_renderer=False, has_offscreen_renderer=False, ignore_done=True
+        robots=CEIStandIn.__name__, use_camera_obs=False, has_renderer=False, has_offscreen_renderer=False, ignore_done=True
     )
     spec = mujoco.MjSpec.from_string(env.sim.model.get_xml())
     T_world_base = pose_of(env.sim.data._data, env.robots[0].robot_model.root_body)
