@@ -33,7 +33,11 @@ def scene_without_robot(make: Callable[..., Any]) -> tuple[mujoco.MjSpec, Array]
         make: builds the robosuite environment from its robot arguments.
     """
     env = make(
-        robots=CEIStandIn.__name__, use_camera_obs=False, has_renderer=False, has_offscreen_renderer=False, ignore_done=True
+        robots=CEIStandIn.__name__,
+        use_camera_obs=False,
+        has_renderer=False,
+        has_offscreen_renderer=False,
+        ignore_done=True,
     )
     spec = mujoco.MjSpec.from_string(env.sim.model.get_xml())
     T_world_base = pose_of(env.sim.data._data, env.robots[0].robot_model.root_body)
@@ -71,6 +75,9 @@ def compose(scene: mujoco.MjSpec, embodiment: Embodiment, T_world_base: Array) -
     assets = {**scene.assets, **robot.assets}
     scene.attach(robot, frame=frame, prefix=PREFIX)
     scene.assets = assets
+    for mesh in scene.meshes:
+        # MuJoCo compiles no mesh twice in a process, and knows them by their files.
+        mesh.file = mesh.file.removeprefix(PREFIX)
     _drive(scene, embodiment)
     _feel(scene)
     _stand(scene, T_world_base[:3, 3])
