@@ -105,7 +105,7 @@ LAYERS = {
         *("augmentation", "transfer", "impersonation", "wrapper"),
     ],
     "cei_gym.embodiment": [
-        *("names", "spec", "resources", "mesh_files", "colours", "elements", "couplings", "coupled", "includes"),
+        *("names", "spec", "named", "resources", "xacro", "mesh_files", "colours", "elements", "couplings", "coupled", "includes"),
         *("assets", "meshes", "mjcf", "urdf", "compiling", "description", "embodiment", "joining", "building"),
         *("catalogue", "identity"),
     ],
@@ -116,6 +116,7 @@ LAYERS = {
     "cei_gym.alignment.kernels": ["step", "target", "quadratic", "distance", "collision", "frame", "contact", "grasp"],
     "cei_gym.transfer": [
         *("options", "attempt", "live", "source_side", "scenes", "specified", "following", "transfer"),
+        "placing",
     ],
     "cei_converters": [
         *("signals", "start", "dataset", "cli", "simulation", "sources", "view", "inspection", "conversion"),
@@ -127,19 +128,21 @@ LAYERS = {
             "shard",
             "config",
             "staging",
+            "placing",
             "converter",
             "plan",
             "assumptions",
             "origin",
             "fit",
             "quality_picture",
+            "place_picture",
             "workers",
         ),
         *("writing", "outcomes", "preloaded", "assemble"),
     ],
     "cei_envs": [
-        *("gripper", "picture", "viewpoints", "registration", "rollout", "simulation", "mounted", "composing"),
-        *("composed", "simulate", "sensors", "environment", "tasks", "experts", "teleoperation"),
+        *("gripper", "picture", "viewpoints", "registration", "rollout", "simulation", "mounted", "stand_in"),
+        *("composing", "composed", "simulate", "sensors", "environment", "tasks", "experts", "teleoperation"),
     ],
     "lerobot_env_cei": ["workers", "processors", "configuration"],
     "lerobot_policy_dp3": [

@@ -43,17 +43,25 @@ def build_embodiment(
     name = "-".join(part.name for part in (arm, end_effector) if part is not None)
     joined, model, more = _compiled(name, arm, end_effector, relative_to)
     notes = [*joined.notes, *(f"{name}: {note}" for note in more)]
-    return _from_model(name, arm, end_effector, model, joined.couplings, joined.max_velocity, notes)
+    embodiment = _from_model(name, arm, end_effector, model, joined.couplings, joined.max_velocity, notes)
+    _built[:] = [(embodiment, joined.spec)]
+    return embodiment
+
+
+_built: list[tuple[Embodiment, mujoco.MjSpec]] = []
+"""The last embodiment that was built, and what it was compiled from, until somebody takes that: to read it again takes half as long."""
 
 
 def describe(embodiment: Embodiment) -> mujoco.MjSpec:
-    """What an embodiment of the catalogue was compiled from, read anew, for who puts it among other things.
+    """What an embodiment of the catalogue was compiled from, for who puts it among other things; it is the caller's.
 
     Names of the end-effector carry `END_EFFECTOR_PREFIX`; `assets` holds all files.
 
     Raises:
         CEIError: as for `build_embodiment`.
     """
+    if _built and _built[0][0] is embodiment:
+        return _built.pop()[1]
     joined, _, _ = _compiled(embodiment.name, embodiment.arm, embodiment.end_effector, Path())
     return joined.spec
 
