@@ -67,6 +67,18 @@ def test_what_is_otherwise_than_in_its_file_is_found(tmp_path: Path) -> None:
         assert message in found
 
 
+def test_start_up(tmp_path: Path) -> None:
+    printed = run("start_up.py", tmp_path, "Panda-PandaGripper", "--repeats=1")
+    row = json.loads((tmp_path / "results/start_up.json").read_text())["robots"]["Panda-PandaGripper"]
+    assert row["later"]["processor"] < row["first"]["processor"]  # kernels are compiled once
+    for seconds in row.values():
+        assert sum(seconds[stage] for stage in ("import", "make", "reset")) <= seconds["total"] + 0.05
+    assert f"{row['later']['total']:.1f}" in printed
+    assert (
+        depends_on(tmp_path, "start_up.json").command == "python benchmarks/start_up.py Panda-PandaGripper --repeats=1"
+    )
+
+
 def test_alignment(tmp_path: Path) -> None:
     run("alignment.py", tmp_path, "UR5e-RobotiqThreeFinger", "--demonstrations=1", "--frames=3", "--pairs=16")
     result = json.loads((tmp_path / "results/speed_lambda_0.05.json").read_text())

@@ -41,7 +41,7 @@ ELSEWHERE = {
     r"source \.venv/bin/activate": "the environment is another here",
     r"pip install .*": "the wheels are installed",
     r"uv pip install .*": "optional: what a benchmark compares with",
-    r"python benchmarks/(alignment|census|first_frame|observation)\.py": "minutes; tests/test_benchmarks.py runs it smaller",
+    r"python benchmarks/(alignment|census|first_frame|observation|start_up)\.py": "minutes; tests/test_benchmarks.py runs it smaller",
     r"python benchmarks/camera\.py": "compares with MuJoCo's renderer, which needs a GL library",
     r"python benchmarks/scale\.py.*": "minutes however small; it records and converts by benchmarks/transfer.py, which is run",
     r"cei-benchmark replay (--tables=main|--seed=1000 --results=\S+)": "an hour; tests/test_benchmark_command.py runs it smaller",

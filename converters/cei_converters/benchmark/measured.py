@@ -49,6 +49,9 @@ MEASURED: dict[str, tuple[str, ...]] = {
         *(*_CLOUDS, "cei_gym/wrapper.py", *_ENVIRONMENTS, "benchmarks/observation.py", "benchmarks/measure.py"),
     ),
     "benchmarks/scale.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/scale.py", "benchmarks/transfer.py"),
+    "benchmarks/start_up.py": (
+        *(*_CLOUDS, "cei_gym/__init__.py", "cei_gym/compiled.py", *_ENVIRONMENTS, "benchmarks/start_up.py"),
+    ),
     "benchmarks/training.py": (*_POLICY, *_CONVERSION[-4:], "benchmarks/training.py"),
     "benchmarks/transfer.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/transfer.py"),
 }
