@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,17 @@ MAX_DIGITS = 300
 """Of a whole number: more would be no number of anything, and none that fits a float."""
 
 
-def load_yaml(text: str) -> Any:
+def load_yaml(text: str, tags: Mapping[str, Callable[[str], Any]] | None = None) -> Any:
     """Plain values from YAML.
+
+    Args:
+        text: the YAML.
+        tags: what makes a value of a scalar's text, by its own tag (`!degrees`).
 
     Raises:
         CEIError: it is no YAML, or has what is not allowed; without the file's name, which the caller knows.
     """
-    return _load(_parse_yaml, text)
+    return _load(lambda text: _parse_yaml(text, tags or {}), text)
 
 
 def load_json(text: str) -> Any:
@@ -73,8 +77,16 @@ def _load(parse: Callable[[str], Any], text: str) -> Any:
         raise CEIError(one_line(error)) from error
 
 
-def _parse_yaml(text: str) -> Any:
-    loader = _Loader(text)
+def _parse_yaml(text: str, tags: Mapping[str, Callable[[str], Any]]) -> Any:
+    class Tagged(_Loader): ...
+
+    for tag, read in tags.items():
+
+        def construct(loader: _Loader, node: yaml.ScalarNode, read: Callable[[str], Any] = read) -> Any:
+            return read(str(loader.construct_scalar(node)))
+
+        Tagged.add_constructor(tag, construct)
+    loader = Tagged(text)
     node = loader.get_single_node()
     if node is None:
         return None

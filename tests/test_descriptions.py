@@ -443,10 +443,8 @@ def test_what_other_programs_write_into_a_urdf_is_not_read() -> None:
 
 
 @needs_shared
-def test_a_xacro_is_to_be_expanded_first() -> None:
-    message = refusal(lambda: case("xacro"))
-    assert "it is a xacro, not yet a URDF" in message
-    assert "xacro robot.urdf.xacro > robot.urdf" in message
+def test_a_xacro_whose_property_is_missing_is_refused() -> None:
+    assert "${mass}: 'mass' is not defined" in refusal(lambda: case("xacro"))
 
 
 # -- joints that follow others -------------------------------------------------------------------------------

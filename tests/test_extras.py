@@ -109,9 +109,9 @@ def test_whatever_is_imported_comes_with_the_method_or_with_one_extra() -> None:
             assert (distribution(module) in base) + len(extras) == 1, f"{package} imports {module}"
 
 
-def test_the_method_alone_brings_whatever_it_imports_but_for_torch() -> None:
+def test_the_method_alone_brings_whatever_it_imports_but_for_torch_and_others_descriptions() -> None:
     rest = {module for module in imported("cei_gym") if distribution(module) not in names(PROJECT["dependencies"])}
-    assert rest == {*EXTRAS["torch"].modules}
+    assert rest == {*EXTRAS["torch"].modules, *EXTRAS["descriptions"].modules}
 
 
 def test_environments_bring_what_they_import_and_no_lerobot() -> None:

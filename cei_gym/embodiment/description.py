@@ -1,9 +1,10 @@
-"""Robot descriptions (MJCF or URDF) to `mujoco.MjSpec`, through MuJoCo's own parser, as untrusted input.
+"""Robot descriptions (MJCF, URDF or xacro) to `mujoco.MjSpec`, through MuJoCo's own parser, as untrusted input.
 
 MuJoCo parses text that was checked here, and compiles it from files in memory, so that nothing else can be opened.
 """
 
 from collections import Counter, defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import mujoco
@@ -15,6 +16,7 @@ from cei_gym.embodiment.mjcf import read_mjcf
 from cei_gym.embodiment.resources import Place, read_file
 from cei_gym.embodiment.spec import Coupling
 from cei_gym.embodiment.urdf import UrdfReader
+from cei_gym.embodiment.xacro import expand, is_xacro
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted_xml import MAX_BYTES, load_xml
 
@@ -38,12 +40,15 @@ class Description:
     notes: list[str] = field(default_factory=list[str])
 
 
-def load_description(place: Place, plain: bool = True) -> Description:
-    """Parse an MJCF or URDF file.
+def load_description(
+    place: Place, plain: bool = True, xacro_args: Mapping[str, str | float | bool] | None = None
+) -> Description:
+    """Parse an MJCF or URDF file, or a xacro, which is expanded first.
 
     Args:
         place: the file, and what it may read.
         plain: whether OBJ files that look as if MuJoCo read them right go to it as they are.
+        xacro_args: arguments of a xacro.
 
     Raises:
         CEIError: not XML, XML entities, numbers not finite, too much of anything, a file outside the root, or a model that MuJoCo
@@ -51,7 +56,7 @@ def load_description(place: Place, plain: bool = True) -> Description:
     """
     name = place.path.name
     try:
-        description = _load(place, Assets(place, plain))
+        description = _load(place, Assets(place, plain), xacro_args or {})
         _check_names(description.spec)
         _check_shapes(description.spec)
         _name_geoms(description.spec)
@@ -66,14 +71,18 @@ def load_description(place: Place, plain: bool = True) -> Description:
     return description
 
 
-def _load(place: Place, assets: Assets) -> Description:
-    tree = load_xml(read_file(place.path, place.path.name, MAX_BYTES))
+def _load(place: Place, assets: Assets, xacro_args: Mapping[str, str | float | bool]) -> Description:
+    tree, notes = load_xml(read_file(place.path, place.path.name, MAX_BYTES)), list[str]()
+    if place.path.suffix == ".xacro" or is_xacro(tree):
+        tree, notes = expand(tree, place, xacro_args)
+    elif xacro_args:
+        raise CEIError("`xacro_args` are given, and it is no xacro; leave them out")
     if tree.tag == "mujoco":
-        return Description(read_mjcf(tree, assets), assets)
+        return Description(read_mjcf(tree, assets), assets, notes=notes)
     if tree.tag == "robot":
         check_counts(tree)
         urdf = UrdfReader(tree, assets)
-        return Description(urdf.spec, assets, urdf.couplings, urdf.max_velocity, urdf.notes)
+        return Description(urdf.spec, assets, urdf.couplings, urdf.max_velocity, notes + urdf.notes)
     raise CEIError(f"root element <{tree.tag[:60]}> is neither <mujoco> (MJCF) nor <robot> (URDF)")
 
 

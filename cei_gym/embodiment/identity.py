@@ -9,7 +9,7 @@ import numpy as np
 
 from cei_gym.embodiment.embodiment import Embodiment
 
-_WHERE = ("name", "description", "folder", "package_path", "servo")
+_WHERE = ("name", "description", "folder", "package_path", "xacro_args", "servo", "self_contact")
 """Of a specification: what it is called, where files are whose content is in the model, and what a simulation alone knows."""
 
 

@@ -86,7 +86,7 @@ def join(arm: ArmSpec | None, end_effector: EndEffectorSpec | None, relative_to:
 
 
 def _load(part: ArmSpec | EndEffectorSpec, relative_to: Path, plain: bool, notes: list[str]) -> Description:
-    description = load_description(_place(part, relative_to), plain)
+    description = load_description(_place(part, relative_to), plain, part.xacro_args)
     if part.angle:
         description.spec.compiler.degree = part.angle == "degree"
     notes += [f"{part.name}: {note}" for note in (*description.notes, *doubtful_units(description.spec))]

@@ -4,16 +4,18 @@ What a description names must lie inside its root: the topmost of
 - its own folder, and the one above where the two look like a package without its `package.xml` (`urdf/` beside `meshes/`);
 - the nearest folder above that is a ROS package (has a `package.xml`);
 - the folder of the YAML that names it, if it lies in there;
-- the package of the package path, or the Python package, that it was found in.
+- the package of the package path, or the Python package, that it was found in;
+- the model's folder, or the repository, of a description that goes by another project's name (`named`).
 """
 
 import os
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
 
+from cei_gym.embodiment.named import find_named
 from cei_gym.errors import CEIError
 from cei_gym.extras import install_command
 from cei_gym.untrusted_xml import load_xml
@@ -36,11 +38,13 @@ class Place:
         path: the file.
         root: folder that everything it names must stay inside.
         packages: folders that ROS packages are looked for in.
+        xacro_args: arguments of a xacro that come with its name.
     """
 
     path: Path
     root: Path
     packages: tuple[Path, ...] = ()
+    xacro_args: dict[str, str] = field(default_factory=dict[str, str])
 
     def inside(self, path: Path, what: str) -> Path:
         """`path`, resolved.
@@ -76,16 +80,22 @@ def locate(uri: str, folder: Path, trusted: Iterable[Path] = (), package_path: I
     """Find a description.
 
     Args:
-        uri: `package://<package>/<path>`, a ROS package of the package path or an installed Python package; or a path.
+        uri: `package://<package>/<path>`, a ROS package of the package path or an installed Python package;
+            `robot_descriptions:<name>` or `mujoco_menagerie:<name>`, which are downloaded if need be; or a path.
         folder: what a relative path starts from.
         trusted: folders whose contents the description may read if it lies inside.
         package_path: folders that ROS packages are looked for in, besides those of the environment.
 
     Raises:
-        CEIError: the package is not there, the file is missing, or it lies outside its package.
+        CEIError: the package is not there, the file is missing, or it lies outside its package; or it cannot be downloaded.
     """
     packages = (*package_path, *environment_packages())
-    if uri.startswith(SCHEME):
+    arguments: dict[str, str] = {}
+    if (named := find_named(uri)) is not None:
+        packages, arguments = (*named.packages, *packages), named.xacro_args
+        root = named.root
+        path = within(root, named.path, uri)
+    elif uri.startswith(SCHEME):
         name, _, inside = uri.removeprefix(SCHEME).partition("/")
         root = _package_in(packages, name) or package_root(name)
         path = within(root, root / inside, uri)
@@ -94,7 +104,7 @@ def locate(uri: str, folder: Path, trusted: Iterable[Path] = (), package_path: I
         root = _root(path, trusted, packages)
     if not path.is_file():
         raise CEIError(f"no robot description at {uri!r} (looked for {path.name} in {path.parent}).{_closest(path)}")
-    return Place(path, root.resolve(), tuple(packages))
+    return Place(path, root.resolve(), tuple(packages), arguments)
 
 
 def package_root(package: str) -> Path:

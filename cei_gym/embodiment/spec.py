@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import draccus
 
@@ -51,14 +51,19 @@ class Coupling(_Checked):
 class _Part(_Checked):
     """What an arm and an end-effector have in common."""
 
+    SELF_CONTACT: ClassVar[tuple[str, ...]]
+    """What `self_contact` can be."""
+
     name: str
     description: str
     max_velocity: dict[str, float]
     inertia_groups: list[int]
     angle: str
+    self_contact: str
     couplings: dict[str, Coupling]
     joints: list[str]
     package_path: list[str]
+    xacro_args: dict[str, Any]
     mount_pos_m: list[float]
     mount_quat_wxyz: list[float]
     folder: str
@@ -72,10 +77,17 @@ class _Part(_Checked):
             raise CEIError(f"`inertia_groups` of {self.name} should be two of 0 to 5, not {groups}.")
         if self.angle not in ("", "radian", "degree"):
             raise unknown(f"angle of {self.name}", self.angle, ["radian", "degree"])
+        if self.self_contact not in self.SELF_CONTACT:
+            raise unknown(f"self_contact of {self.name}", self.self_contact, self.SELF_CONTACT)
         if len(self.mount_pos_m) not in (0, 3):
             raise CEIError(f"`mount_pos_m` of {self.name} should be 3 numbers, not {self.mount_pos_m}.")
         if self.mount_quat_wxyz and (len(self.mount_quat_wxyz) != 4 or not any(self.mount_quat_wxyz)):
             raise CEIError(f"`mount_quat_wxyz` of {self.name} should be 4 numbers, not {self.mount_quat_wxyz}.")
+        for name, value in self.xacro_args.items():
+            if not isinstance(value, (str, int, float)):
+                raise CEIError(
+                    f"xacro_args of {self.name} gives {name} {value}; it should be a text, a number or a truth."
+                )
         super().__post_init__()
 
 
@@ -163,7 +175,8 @@ class ArmSpec(_Part):
 
     Attributes:
         name: that of the file; no hyphen.
-        description: path of the MJCF or URDF, from the YAML's folder, or `package://<package>/<path>`.
+        description: path of the MJCF, URDF or xacro, from the YAML's folder, `package://<package>/<path>`,
+            `robot_descriptions:<name>` or `mujoco_menagerie:<name>`.
         mount_body: the flange's link.
         mount_pos_m, mount_quat_wxyz: pose of the flange in that link; empty is its frame. Flanges' z points out of the arm.
         home: joint to its rest position, rad or m.
@@ -179,9 +192,13 @@ class ArmSpec(_Part):
         angle: "radian" or "degree" where the description does not say (MJCF then means degrees).
         couplings: follower -> which joint it follows, where the description does not say, or says it otherwise.
         package_path: folders below the YAML's own that ROS packages are looked for in; `--package_path` gives others.
+        xacro_args: argument of a xacro -> its value, instead of its default.
         servo: how joints are driven where the simulator has no controller of its own.
+        self_contact: which of its links touch each other there: "none", or "all" but neighbours and those that overlap at home.
         folder: of the YAML; `load_spec` fills it in.
     """
+
+    SELF_CONTACT: ClassVar[tuple[str, ...]] = ("none", "all")
 
     name: str
     description: str
@@ -199,7 +216,9 @@ class ArmSpec(_Part):
     angle: str = ""
     couplings: dict[str, Coupling] = field(default_factory=dict[str, Coupling])
     package_path: list[str] = field(default_factory=list[str])
+    xacro_args: dict[str, Any] = field(default_factory=dict[str, Any])
     servo: Servo = Servo()
+    self_contact: str = "none"
     folder: str = ""
 
 
@@ -223,8 +242,11 @@ class EndEffectorSpec(_Part):
             give way.
         couplings: as for an arm.
         simulator_name: the simulator's name for it, if it differs.
-        package_path, servo, folder: as for an arm.
+        package_path, xacro_args, servo, folder: as for an arm.
+        self_contact: as for an arm, or "fingers": links of different fingers alone. An arm touches it if both say "all".
     """
+
+    SELF_CONTACT: ClassVar[tuple[str, ...]] = ("none", "fingers", "all")
 
     name: str
     description: str
@@ -243,7 +265,9 @@ class EndEffectorSpec(_Part):
     simulator_name: str = ""
     physics: list[PhysicsException] = field(default_factory=list[PhysicsException])
     package_path: list[str] = field(default_factory=list[str])
+    xacro_args: dict[str, Any] = field(default_factory=dict[str, Any])
     servo: Servo = _FINGERS
+    self_contact: str = "none"
     folder: str = ""
 
     def __post_init__(self) -> None:

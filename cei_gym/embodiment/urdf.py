@@ -51,7 +51,6 @@ class UrdfReader:
         self.couplings: dict[str, Coupling] = {}
         self.max_velocity: dict[str, float] = {}
         self.notes: list[str] = []
-        _refuse_xacro(tree)
         _strip(tree)
         check_numbers(tree, may_be_infinite=("velocity", "effort", "lower", "upper"))  # for "not known"
         for joint in tree.iterfind("joint"):
@@ -155,9 +154,10 @@ class UrdfReader:
         place = self._assets.place
         beside = place.path.parent
         stripped = beside / self._meshdir / PurePosixPath(uri).name
+        uri = uri.removeprefix("file://")  # before package://, too, where a xacro has $(find ...)
         scheme = next((s for s in _SCHEMES if uri.startswith(s)), None)
         if scheme is None:
-            path = place.inside(beside / uri.removeprefix("file://"), uri)
+            path = place.inside(beside / uri, uri)
             return place.inside(stripped, uri) if self._meshdir and not path.is_file() else path
         package, _, inside = uri.removeprefix(scheme).lstrip("/").partition("/")
         try:
@@ -184,16 +184,6 @@ def _strip(element: Element) -> None:
             element.remove(child)
         else:
             _strip(child)
-
-
-def _refuse_xacro(tree: Element) -> None:
-    for element in tree.iter():
-        used = element.tag.startswith("xacro:")
-        kept = element.tag in ("link", "joint", "mesh", "origin", "limit", "mass", "box", "cylinder", "sphere", "axis")
-        if used or (kept and any("${" in value or "$(" in value for value in element.attrib.values())):
-            raise CEIError(
-                f"it is a xacro, not yet a URDF (<{element.tag}>); expand it first: xacro robot.urdf.xacro > robot.urdf"
-            )
 
 
 def _check_one_root(tree: Element) -> None:
