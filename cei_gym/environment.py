@@ -1,5 +1,6 @@
 """What an environment offers beside Gymnasium's interface, for demonstrations to be recorded and replayed in it."""
 
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol, cast
 
 import gymnasium as gym
@@ -20,6 +21,40 @@ class Demonstrator(Protocol):
     def describe(self) -> dict[str, Any]:
         """How it varies, as JSON types."""
         ...
+
+
+@dataclass(frozen=True)
+class PhysicsRule:
+    """What a simulation does with its robot that no description says, or that one says otherwise.
+
+    Attributes:
+        part: name of the arm, the end-effector, or the embodiment if it is about both.
+        kind: what it is about.
+        source: by what it is so: a field of a YAML, an argument, a default; "off" if it is switched off.
+        says: one sentence.
+    """
+
+    part: str
+    kind: str
+    source: str
+    says: str
+
+
+@dataclass(frozen=True)
+class Physics:
+    """How a simulation treats its robot.
+
+    Attributes:
+        rules: in the order in which people should read them.
+        joints: a row of figures for each joint that it drives by rules of its own, as JSON types.
+    """
+
+    rules: tuple[PhysicsRule, ...] = ()
+    joints: tuple[dict[str, Any], ...] = ()
+
+    def record(self) -> dict[str, Any]:
+        """As JSON types."""
+        return {"rules": [asdict(rule) for rule in self.rules], "joints": list(self.joints)}
 
 
 class RobotEnvironment(Protocol):
@@ -52,6 +87,12 @@ class RobotEnvironment(Protocol):
 
 
 _NEEDED = ("embodiment", "scene", "task_text", "state_names", "channels", "expert")
+
+
+def physics_of(env: gym.Env) -> Physics:
+    """How the environment inside any wrappers treats its robot; nothing if it does not say so, by an attribute `physics`."""
+    physics = getattr(env.unwrapped, "physics", None)
+    return physics if isinstance(physics, Physics) else Physics()
 
 
 def robot_environment(env: gym.Env) -> RobotEnvironment:

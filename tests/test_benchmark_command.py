@@ -115,7 +115,10 @@ def test_a_cell_says_how_it_was_made(folder: Path) -> None:
     assert plain["date"]
     assert plain["seconds"].keys() == {"convert", "replay", "stock_replay"}
     assert (plain["replay"]["stock_physics"], plain["stock_replay"]["stock_physics"]) == (False, True)
-    assert "no_self_contact" in {exception["kind"] for exception in plain["physics_exceptions"]}
+    by = [
+        {each["kind"]: each["source"] for each in plain[key]["physics"]["rules"]} for key in ("replay", "stock_replay")
+    ]
+    assert [each["no_self_contact"] for each in by] == ["physics", "off"]
     assert "stock_replay" not in bms
     assert bms["alignment"][0]["iterations_mean"] == 0 < plain["alignment"][0]["iterations_mean"]
     assert plain["replay"]["successes"] == source["replay"]["successes"] == 1

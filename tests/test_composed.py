@@ -180,6 +180,70 @@ def test_gains_are_of_what_a_joint_moves_and_forces_the_descriptions(own: Path) 
     path.unlink()
 
 
+def closed_fist(env: CEIEnv) -> list[tuple[str, str]]:
+    """Links of the robot that touch each other when its hand closes to its limits."""
+    simulation, body = env.simulation, env.embodiment
+    target = np.where(np.arange(len(body.home)) < body.n_arm, body.home, body.upper)
+    simulation.reset(body.home)
+    simulation.forward()
+    assert not simulation.touching(simulation.robot_geoms, simulation.robot_geoms)
+    found: set[tuple[str, str]] = set()
+    for _ in range(3 * CONTROL_HZ):
+        simulation.tick(target)
+        for pair in simulation.data.contact.geom:
+            if np.isin(pair, simulation.robot_geoms).all():
+                links = (simulation.model.body(simulation.model.geom_bodyid[geom]).name for geom in pair)
+                found.add(tuple(sorted(name.removeprefix("robot/ee/") for name in links)))
+    return sorted(found)
+
+
+@pytest.mark.parametrize("rule", ["none", "fingers", "all"])
+def test_links_touch_each_other_as_the_yaml_says(own: Path, rule: str) -> None:
+    path = own / "end_effectors/FistHand.yaml"
+    text = (own / "end_effectors/LabHand.yaml").read_text().replace("LabHand", "FistHand")
+    path.write_text(f"{text}self_contact: {rule}\n")
+    cei_gym.register_environments()
+    load_embodiment.cache_clear()
+    env = opened("LabArm-FistHand")
+    touching = closed_fist(env)
+    (said,) = (each.says for each in env.physics.rules if (each.part, each.kind) == ("FistHand", "self-contact"))
+    env.close()
+    path.unlink()
+    assert bool(touching) == (rule != "none") == ("pairs of shapes" in said)
+    if rule == "fingers":
+        fingers = ("thumb", "index", "middle", "ring", "pinky")
+        for pair in touching:
+            one, other = (next(finger for finger in fingers if finger in link) for link in pair)
+            assert one != other
+
+
+def test_a_rule_of_self_contact_is_one_that_there_is(own: Path) -> None:
+    path = own / "arms/FistArm.yaml"
+    text = (own / "arms/LabArm.yaml").read_text().replace("LabArm", "FistArm")
+    path.write_text(f"{text}self_contact: fingers\n")
+    with pytest.raises(CEIError, match=r"unknown self_contact of FistArm 'fingers'\. Valid: none, all\.$"):
+        load_embodiment("FistArm-LabHand")
+    path.unlink()
+
+
+def test_what_is_by_rule_is_said(env: CEIEnv) -> None:
+    model, body, physics = env.simulation.model, env.embodiment, env.physics
+    assert {rule.kind for rule in physics.rules} >= {"base", "servos", "rotors", "efforts", "self-contact", "weight"}
+    assert len(physics.joints) == len(body.coupled.independent)
+    for row in physics.joints:
+        q = body.joint_names.index(row["joint"])
+        joint = joint_names(body)[q]
+        servo = model.actuator(joint)
+        assert servo.gainprm[0] == pytest.approx(row["kp"], rel=1e-5)
+        assert -servo.biasprm[2] == pytest.approx(row["kv"], rel=1e-5)
+        assert model.joint(joint).armature[0] == pytest.approx(row["armature"])
+        assert servo.forcerange[1] == pytest.approx(row["limit"])
+        declared = bool(body.model.jnt_actfrclimited[q] and body.model.jnt_actfrcrange[q, 1] > 0)
+        assert (row["limit_from"] == "description") == declared
+    assert not {rule.kind for rule in physics.rules} & {"absolute_joint_control", "no_self_contact"}
+    json.dumps(physics.record())
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_every_task_has_it(task: str) -> None:
     env = gym.make(f"CEI-{task}-LabArm-LabHand", image_width=32, image_height=24, render_mode="rgb_array")

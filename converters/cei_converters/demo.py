@@ -53,7 +53,6 @@ def demo(config: DemoConfig) -> None:
     from cei_converters.replay import ReplayConfig, replay
     from cei_converters.report import write_report
     from cei_converters.sources.reader import DatasetReader
-    from cei_gym.embodiment import load_embodiment
 
     folder = config.output
     if folder.exists() and not (folder / _MARK).is_file():
@@ -74,9 +73,8 @@ def demo(config: DemoConfig) -> None:
     beside = SourceConfig(source.repo_id, source.root)
     replays.append(replay(ReplayConfig(target, beside, video=folder / "side_by_side.mp4")))
     first, second = (DatasetReader(dataset.repo_id, dataset.root).read(0) for dataset in (source, target))
-    embodiments = [load_embodiment(SOURCE), load_embodiment(TARGET)]
     report = folder / "report.html"
-    write_report(report, replays, json.loads(result.read_text()), (first, second), embodiments, commands(config))
+    write_report(report, replays, json.loads(result.read_text()), (first, second), commands(config))
     print(f"\nOpen {report}: {replays[1]['successes']} of {config.episodes} transferred demonstrations lift the cube.")
 
 

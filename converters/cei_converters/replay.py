@@ -82,6 +82,7 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
         "env": stage.env_id,
         "stock_physics": stage.stock_physics,
         "embodiment": reader.embodiment.name,
+        "physics": stage.physics.record(),
         "episodes": len(results),
         "successes": sum(entry["success"] for entry in results),
         "interval_95": _wilson(sum(entry["success"] for entry in results), len(results)),
@@ -186,6 +187,10 @@ def _print(result: dict[str, Any]) -> None:
         failures,
     )
     Console(width=None if Console().is_terminal else 140).print(table)
+    if result["physics"]["joints"]:
+        print("By rule, as robosuite does not have this robot (each joint's figures: --json):")
+        for rule in result["physics"]["rules"]:
+            print("  {part}, {kind}: {says} ({source})".format(**rule))
     if result["video"]:
         print(f"Video: {result['video']}; contact sheet: {Path(result['video']).with_suffix('.png')}.")
 

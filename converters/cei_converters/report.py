@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cei_gym.demonstration import Demonstration
-from cei_gym.embodiment import Embodiment, PhysicsException
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1c2330; max-width: 1000px; margin: 2rem auto; padding: 0 1rem; }
@@ -27,7 +26,6 @@ def write_report(
     replays: Sequence[dict[str, Any]],
     conversion: dict[str, Any],
     episodes: tuple[Demonstration, Demonstration],
-    embodiments: Sequence[Embodiment],
     commands: Sequence[str],
 ) -> None:
     """Write the page.
@@ -37,7 +35,6 @@ def write_report(
         replays: results of `cei-replay`, source first; the last one's video and contact sheet are embedded.
         conversion: result of `cei-convert`.
         episodes: one episode of the source and the same of the target, whose clouds are drawn.
-        embodiments: whose physics exceptions are listed.
         commands: shell commands that do the same by hand.
     """
     source, target = conversion["source"]["embodiment"], conversion["target"]
@@ -57,8 +54,8 @@ def write_report(
         _image(_cloud_plot(episodes), "Point clouds before and after"),
         "<p class=note>The recorded cloud loses the source robot and gains points sampled on the target's meshes "
         "(1024 points, farthest-point sampling).</p>",
-        "<h2>Departures from the simulator's own physics</h2>",
-        _physics_table(embodiments),
+        "<h2>What physics does with the robots by rule</h2>",
+        _physics_table(replays),
         "<h2>The same by hand</h2>",
         f"<pre>{html.escape(chr(10).join(commands))}</pre>",
     ]
@@ -92,19 +89,13 @@ def _quality_table(conversion: dict[str, Any]) -> str:
     return _table(("episode", *names.values()), rows)
 
 
-def _physics_table(embodiments: Sequence[Embodiment]) -> str:
-    parts = [part for e in embodiments for part in (e.arm, e.end_effector) if part is not None]
-    rows = [
-        (part.name, exception.kind, "on" if exception.enabled else "off", exception.reason)
-        for part in parts
-        for exception in part.physics
+def _physics_table(replays: Sequence[dict[str, Any]]) -> str:
+    rules = [
+        tuple(rule[key] for key in ("part", "kind", "source", "says"))
+        for r in replays
+        for rule in r["physics"]["rules"]
     ]
-    return _table(("arm or end-effector", "exception", "switch", "reason"), rows)
-
-
-def physics_exceptions(embodiment: Embodiment) -> list[PhysicsException]:
-    """All declared departures from the simulator's physics, arm first."""
-    return [e for part in (embodiment.arm, embodiment.end_effector) if part is not None for e in part.physics]
+    return _table(("of", "rule", "set by", "what"), [*dict.fromkeys(rules)])
 
 
 def _residual_plot(conversion: dict[str, Any]) -> bytes:

@@ -7,6 +7,8 @@ import mujoco
 import numpy as np
 
 from cei_envs.composing import FORCE, PREFIX, TORQUE, compose, joint_names, scene_without_robot
+from cei_envs.rules import of_composed
+from cei_envs.servos import drives
 from cei_envs.simulation import CONTROL_HZ, Simulation
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
@@ -26,15 +28,16 @@ class ComposedSimulation(Simulation):
         if embodiment.arm is None or embodiment.end_effector is None:
             raise CEIError(f"{embodiment.name}: a simulation needs an arm and an end-effector.")
         scene, T_world_panda = scene_without_robot(make)
-        T_world_base = T_world_panda if T_world_base is None else T_world_base
-        model = compose(scene, embodiment, T_world_base)
+        place = T_world_panda if T_world_base is None else T_world_base
+        model = compose(scene, embodiment, place)
+        physics = of_composed(embodiment, drives(embodiment), model.npair, place, T_world_base is not None)
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         names = joint_names(embodiment)
         joints = [model.joint(name).id for name in names]
         self._coupled = embodiment.coupled
         self._servos = [model.actuator(names[q]).id for q in self._coupled.independent]
-        super().__init__(model, data, joints, np.array(self._coupled.independent), (PREFIX,), T_world_base)
+        super().__init__(model, data, joints, np.array(self._coupled.independent), (PREFIX,), place, physics)
         self._steps = round(1 / (CONTROL_HZ * model.opt.timestep))
 
     @property

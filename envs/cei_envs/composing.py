@@ -10,6 +10,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from cei_envs.self_contact import touching_geoms
+from cei_envs.servos import drives
 from cei_envs.simulation import pose_of
 from cei_envs.stand_in import CEIStandIn
 from cei_gym.arrays import Array
@@ -60,12 +62,12 @@ def compose(scene: mujoco.MjSpec, embodiment: Embodiment, T_world_base: Array) -
     """
     robot = describe(embodiment)
     # Its own simulation's, of which nothing holds here.
-    for element in [*robot.actuators, *robot.equalities, *robot.tendons, *robot.sensors, *robot.keys]:
+    for element in [*robot.actuators, *robot.equalities, *robot.tendons, *robot.sensors, *robot.keys, *robot.pairs]:
         robot.delete(element)
     for element in [*robot.sites, *robot.cameras, *robot.lights]:
         robot.delete(element)
     for geom in robot.geoms:
-        # What is outside can touch it; no part of it touches another.
+        # What is outside can touch it; no part of it touches another but by a pair.
         geom.contype, geom.conaffinity = int(bool(geom.contype or geom.conaffinity)), 0
     for body in robot.bodies:
         body.gravcomp = 1.0
@@ -78,6 +80,8 @@ def compose(scene: mujoco.MjSpec, embodiment: Embodiment, T_world_base: Array) -
     for mesh in scene.meshes:
         # MuJoCo compiles no mesh twice in a process, and knows them by their files.
         mesh.file = mesh.file.removeprefix(PREFIX)
+    for one, other in touching_geoms(embodiment):
+        scene.add_pair(geomname1=PREFIX + one, geomname2=PREFIX + other)
     _drive(scene, embodiment)
     _feel(scene)
     _stand(scene, T_world_base[:3, 3])
@@ -92,20 +96,19 @@ def joint_names(embodiment: Embodiment) -> list[str]:
 
 def _drive(scene: mujoco.MjSpec, embodiment: Embodiment) -> None:
     names, coupled = joint_names(embodiment), embodiment.coupled
-    for q, inertia in zip(coupled.independent, _inertia(embodiment), strict=True):
-        servo = _servo(embodiment, int(q), float(inertia))
-        scene.joint(names[q]).armature = servo["armature"]
-        limit = servo["limit"]
+    for drive in drives(embodiment):
+        name = names[drive.q]
+        scene.joint(name).armature = drive.armature
         scene.add_actuator(
-            name=names[q],
-            target=names[q],
+            name=name,
+            target=name,
             trntype=mujoco.mjtTrn.mjTRN_JOINT,
             gaintype=mujoco.mjtGain.mjGAIN_FIXED,
             biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            gainprm=[servo["kp"], *[0.0] * 9],
-            biasprm=[0.0, -servo["kp"], -servo["kv"], *[0.0] * 7],
-            forcelimited=limit > 0,
-            forcerange=[-limit, limit],
+            gainprm=[drive.kp, *[0.0] * 9],
+            biasprm=[0.0, -drive.kp, -drive.kv, *[0.0] * 7],
+            forcelimited=drive.limit > 0,
+            forcerange=[-drive.limit, drive.limit],
         )
     for q, (leader, scale, offset) in enumerate(zip(coupled.leader, coupled.scale, coupled.offset, strict=True)):
         if q in coupled.independent:
@@ -119,32 +122,6 @@ def _drive(scene: mujoco.MjSpec, embodiment: Embodiment) -> None:
             data=[offset, scale, *[0.0] * 9],
             solref=[_EQUALITY_STIFFNESS_S, 1.0],
         )
-
-
-def _inertia(embodiment: Embodiment) -> Array:
-    """(m,) what each independent joint feels of all that it moves, at home, kg m^2 or kg."""
-    model, data = embodiment.model, mujoco.MjData(embodiment.model)
-    data.qpos[:] = embodiment.home
-    mujoco.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, full, data.qM)
-    return np.diag(embodiment.coupled.A.T @ full @ embodiment.coupled.A)
-
-
-def _servo(embodiment: Embodiment, q: int, inertia: float) -> dict[str, float]:
-    part = embodiment.arm if q < embodiment.n_arm else embodiment.end_effector
-    assert part is not None
-    slide, servo, model = embodiment.joint_units[q] == "m", part.servo, embodiment.model
-    armature, limit = (servo.armature_kg, servo.force_n) if slide else (servo.armature_kg_m2, servo.torque_n_m)
-    if model.jnt_actfrclimited[q] and model.jnt_actfrcrange[q, 1] > 0:
-        limit = float(model.jnt_actfrcrange[q, 1])
-    moved = inertia + armature
-    return {
-        "armature": armature,
-        "kp": moved * servo.frequency_rad_s**2,
-        "kv": 2 * servo.damping_ratio * servo.frequency_rad_s * moved,
-        "limit": limit,
-    }
 
 
 def _feel(scene: mujoco.MjSpec) -> None:

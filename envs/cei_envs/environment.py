@@ -20,6 +20,7 @@ from cei_envs.viewpoints import make_cameras
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
+from cei_gym.environment import Physics
 from cei_gym.errors import CEIError, one_line
 from cei_gym.pointcloud import crop, farthest_point_sample, fuse_depth
 from cei_gym.rendering import DepthCamera, add_noise, as_noise, geom_colours, miscalibrated, shade
@@ -296,6 +297,11 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
     def model(self) -> mujoco.MjModel:
         """The simulation's model."""
         return self.simulation.model
+
+    @property
+    def physics(self) -> Physics:
+        """By which rules the simulation treats its robot."""
+        return self.simulation.physics
 
     def expert(self, seed: int, variation: float = 1.0):
         """The scripted expert of this task and embodiment, varied by `seed`: 1 as people vary, 0 not at all.

@@ -10,6 +10,7 @@ from robosuite.controllers import load_composite_controller_config
 from robosuite.controllers.composite.composite_controller import CompositeController, register_composite_controller
 
 from cei_envs.gripper import register_gripper, require_absolute_control
+from cei_envs.rules import of_mounted
 from cei_envs.simulation import CONTROL_HZ, Simulation, pose_of
 from cei_gym.arrays import Array
 from cei_gym.embodiment import ArmSpec, Embodiment
@@ -88,6 +89,7 @@ class MountedSimulation(Simulation):
             np.array([*range(embodiment.n_arm), *self._driven_hand]),
             (arm, hand),
             pose_of(data, robot.robot_model.root_body),
+            of_mounted(embodiment, stock_physics),
         )
 
     @property

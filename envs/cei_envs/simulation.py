@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from cei_gym.arrays import Array
+from cei_gym.environment import Physics
 
 CONTROL_HZ = 20
 
@@ -20,9 +21,10 @@ class Simulation(ABC):
         driven: indices into the embodiment's joints that targets move, as its actuators have them.
         prefixes: of the names of the robot's bodies.
         T_world_base: (4, 4) pose of its base, which stands still.
+        physics: by which rules it treats the robot.
 
     Attributes:
-        model, data, driven, T_world_base: as given.
+        model, data, driven, T_world_base, physics: as given.
         robot_geoms: geoms of arm and end-effector.
     """
 
@@ -34,8 +36,10 @@ class Simulation(ABC):
         driven: Array,
         prefixes: tuple[str, ...],
         T_world_base: Array,
+        physics: Physics,
     ) -> None:
         self.model, self.data, self.driven, self.T_world_base = model, data, driven, T_world_base
+        self.physics = physics
         self._qpos_address = model.jnt_qposadr[joints]
         self._qvel_address = model.jnt_dofadr[joints]
         owner = [model.body(b).name for b in model.geom_bodyid]

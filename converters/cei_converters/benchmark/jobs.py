@@ -15,8 +15,6 @@ from cei_converters.dataset.provenance import git_commit
 from cei_converters.dataset.records import Records
 from cei_converters.record import RecordConfig, record
 from cei_converters.replay import ReplayConfig, replay
-from cei_converters.report import physics_exceptions
-from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 
 # Nothing but joints is replayed, and they do not depend on the clouds that a policy would see: a third of a conversion.
@@ -77,8 +75,7 @@ def run_cell(cell: Cell, folder: Path, keep_dataset: bool) -> dict[str, Any]:
         found["stock_replay"] = _timed(seconds, "stock_replay", lambda: replay(config))
     if root != source and not keep_dataset:
         shutil.rmtree(root.parent)
-    physics = physics_exceptions(load_embodiment(cell.target))
-    return found | {"physics_exceptions": physics, "seconds": {k: round(s, 1) for k, s in seconds.items()}}
+    return found | {"seconds": {k: round(s, 1) for k, s in seconds.items()}}
 
 
 def _root(cell: Cell, folder: Path) -> Path:

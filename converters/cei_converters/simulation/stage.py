@@ -6,6 +6,7 @@ import numpy as np
 
 from cei_converters.simulation.rollout import HOLD_STEPS
 from cei_gym.arrays import Array
+from cei_gym.environment import Physics, physics_of
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
@@ -36,6 +37,11 @@ class Stage:
     def embodiment(self) -> str:
         """Name of the robot in it."""
         return self.env.get_wrapper_attr("embodiment").name
+
+    @property
+    def physics(self) -> Physics:
+        """By which rules the simulation treats the robot."""
+        return physics_of(self.env)
 
     def play(self, demonstration: "Demonstration", filmed: bool = False) -> tuple[dict[str, Any], list[Array]]:
         """Execute a demonstration's actions from its recorded start, the last one held for a success to show.
