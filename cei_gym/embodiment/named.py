@@ -26,7 +26,9 @@ from cei_gym.extras import installed, lacking
 CACHE = "ROBOT_DESCRIPTIONS_CACHE"
 """Environment variable of `robot_descriptions`: the folder of its downloads."""
 
-_NO_ANSWER_S, _STALLED_S = 30.0, 300.0
+NO_ANSWER_S = 30.0
+"""How long a server may say nothing before a download is given up; of one that has begun, ten times as long."""
+
 _EMPTY_REPOSITORY_BYTES = 10_000
 _STAGING = ".cei-"
 
@@ -109,7 +111,7 @@ def _check_reachable(url: str) -> None:
     from urllib.request import Request, urlopen
 
     try:
-        urlopen(Request(url, method="HEAD", headers={"User-Agent": "cei-gym"}), timeout=_NO_ANSWER_S).close()
+        urlopen(Request(url, method="HEAD", headers={"User-Agent": "cei-gym"}), timeout=NO_ANSWER_S).close()
     except OSError as error:
         raise OSError(f"{url}: {getattr(error, 'reason', error)}") from None
 
@@ -123,7 +125,7 @@ def _of_robot_descriptions(name: str, _variables: tuple[str | None, ...]) -> Nam
     known = _imported(name)
     for kind in ("MJCF_PATH", "URDF_PATH", "XACRO_PATH"):
         if kind in known:
-            packages = tuple(Path(folder) for folder in known.get("XACRO_PACKAGE_PATHS", {}).values())
+            packages = tuple(Path(folder).resolve() for folder in known.get("XACRO_PACKAGE_PATHS", {}).values())
             arguments = {str(k): str(v) for k, v in known.get("XACRO_ARGS", {}).items()} if kind == "XACRO_PATH" else {}
             return Named(Path(known[kind]), Path(known["REPOSITORY_PATH"]), packages, arguments)
     raise CEIError(f"robot_descriptions:{name} has neither an MJCF, a URDF nor a xacro.")
@@ -184,7 +186,7 @@ def _answer(name: str, staging: Path) -> dict[str, Any]:
                     process.wait(1.0)
                 if (now := _bytes_in(staging)) != arrived:
                     arrived, since = now, time.monotonic()
-                patience_s = _STALLED_S if arrived > _EMPTY_REPOSITORY_BYTES else _NO_ANSWER_S
+                patience_s = NO_ANSWER_S * (10 if arrived > _EMPTY_REPOSITORY_BYTES else 1)
                 if time.monotonic() - since > patience_s:
                     return {"error": f"{_project(name)} sent nothing for {patience_s:.0f} s"}
         finally:
