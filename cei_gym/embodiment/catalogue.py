@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cei_gym.embodiment.building import build_embodiment
 from cei_gym.embodiment.embodiment import Embodiment
-from cei_gym.embodiment.spec import ArmSpec, EndEffectorSpec, load_spec
+from cei_gym.embodiment.spec import ArmSpec, EndEffectorSpec, load_spec, read_fields
 from cei_gym.errors import CEIError, unknown
 
 ARMS = ("UR5e", "IIWA", "Kinova3", "Panda")
@@ -73,6 +73,40 @@ def load_embodiment(name: str) -> Embodiment:
         raise unknown("embodiment", name, embodiment_names())
     arm, end_effector = name.split("-")
     return build_embodiment(load_arm(arm), load_end_effector(end_effector))
+
+
+def own_yamls(name: str) -> list[Path]:
+    """The YAMLs of one's own, arm's first, that an embodiment's name stands for; none of what ships, or of no such name.
+
+    Raises:
+        CEIError: a folder that `FOLDERS` names is not there.
+    """
+    arm, _, end_effector = name.partition("-")
+    return [
+        path
+        for kind, part in (("arms", arm), ("end_effectors", end_effector))
+        for path in _own_files(kind)
+        if path.stem == part
+    ]
+
+
+def kind_of(spec: ArmSpec | EndEffectorSpec) -> str:
+    """Folder of a specification's kind: "arms" or "end_effectors"."""
+    return "arms" if isinstance(spec, ArmSpec) else "end_effectors"
+
+
+def load_part(path: Path) -> ArmSpec | EndEffectorSpec:
+    """The arm or end-effector of a YAML, told apart by `mount_body` and `pads`, which only one of them has.
+
+    Raises:
+        CEIError: it is neither, or wrong.
+    """
+    fields = read_fields(path)
+    if ("mount_body" in fields) == ("pads" in fields):
+        raise CEIError(
+            f"{path.name}: an arm has a `mount_body`, an end-effector `pads`; this has {'both' if 'pads' in fields else 'neither'}."
+        )
+    return load_spec(ArmSpec if "mount_body" in fields else EndEffectorSpec, path)
 
 
 def _own(kind: str) -> list[str]:

@@ -147,6 +147,7 @@ def _end_at(spec: mujoco.MjSpec, arm: ArmSpec) -> None:
     for geom in list(end.geoms):
         spec.delete(geom)
     # As much as a joint needs; what it carried is the end-effector's.
+    end.fullinertia = np.full(6, np.nan)
     end.explicitinertial, end.mass, end.ipos, end.inertia = True, _BARE_KG, np.zeros(3), np.full(3, _BARE_KG_M2)
 
 

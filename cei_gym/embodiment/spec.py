@@ -194,6 +194,7 @@ class ArmSpec(_Part):
         package_path: folders below the YAML's own that ROS packages are looked for in; `--package_path` gives others.
         xacro_args: argument of a xacro -> its value, instead of its default.
         servo: how joints are driven where the simulator has no controller of its own.
+        remark: what it is good for, or what it cannot; `cei-robot list` shows it.
         self_contact: which of its links touch each other there: "none", or "all" but neighbours and those that overlap at home.
         folder: of the YAML; `load_spec` fills it in.
     """
@@ -218,6 +219,7 @@ class ArmSpec(_Part):
     package_path: list[str] = field(default_factory=list[str])
     xacro_args: dict[str, Any] = field(default_factory=dict[str, Any])
     servo: Servo = Servo()
+    remark: str = ""
     self_contact: str = "none"
     folder: str = ""
 
@@ -267,6 +269,7 @@ class EndEffectorSpec(_Part):
     package_path: list[str] = field(default_factory=list[str])
     xacro_args: dict[str, Any] = field(default_factory=dict[str, Any])
     servo: Servo = _FINGERS
+    remark: str = ""
     self_contact: str = "none"
     folder: str = ""
 
@@ -276,12 +279,27 @@ class EndEffectorSpec(_Part):
             raise CEIError(f"`compliance` of {self.name} should be above 0, not {self.compliance}.")
 
 
+def read_fields(path: Path) -> Mapping[str, Any]:
+    """The fields of a YAML file as they are.
+
+    Raises:
+        CEIError: there is no such file, or it has no fields.
+    """
+    try:
+        raw = load_yaml(path.read_text())
+    except FileNotFoundError:
+        raise CEIError(f"no such file: {path}.") from None
+    except (OSError, ValueError) as error:
+        raise CEIError(f"{path.name}: {one_line(error)}") from error
+    if not isinstance(raw, Mapping):
+        raise CEIError(f"{path.name}: expected a mapping of fields")
+    return raw
+
+
 def load_spec[Spec](cls: type[Spec], path: Path) -> Spec:
     """Read one YAML file into a typed specification; any fault is one line with the file's name."""
     try:
-        raw = load_yaml(path.read_text())
-        if not isinstance(raw, Mapping):
-            raise CEIError("expected a mapping of fields")
+        raw = read_fields(path)
         if issubclass(cls, _Part) and "folder" in raw:
             raise CEIError("unknown field `folder`")
         spec: Any = draccus.decode(cls, raw)

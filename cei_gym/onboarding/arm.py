@@ -16,7 +16,9 @@ from cei_gym.kinematics import KinematicTree
 _FRONT, _MOST_FRONT_M = 0.55, 0.5  # of the arm's reach, at most: how far in front the flange rests
 _ABOVE, _MOST_ABOVE_M = 0.35, 0.3  # likewise above what it stands on
 _BELOW_SHOULDER = 0.4  # likewise below a shoulder that is not near what it stands on, as of a humanoid
-_STARTS = 40
+_NOWHERE_M = -1e3  # no support
+_STARTS, _POSES = 40, 2000
+_MARGIN = 0.05  # of a joint's range that is kept to its limits
 _OUTWARD = np.cos(np.radians(20))
 _DIGITS = 3
 
@@ -38,12 +40,13 @@ class ArmGuess:
     unsure: dict[str, str]
 
 
-def guess_arm(spec: ArmSpec, folder: Path) -> ArmGuess:
+def guess_arm(spec: ArmSpec, folder: Path, T_mount_flange: Array | None = None) -> ArmGuess:
     """Complete an arm's specification that has neither a flange's pose nor a home yet.
 
     Args:
         spec: its name, description, joints and the flange's link.
         folder: that the description's path starts from.
+        T_mount_flange: (4, 4) the flange in its link, where a hand in the same file tells; else it is found.
 
     Raises:
         CEIError: its description is refused.
@@ -52,26 +55,29 @@ def guess_arm(spec: ArmSpec, folder: Path) -> ArmGuess:
     embodiment = build_embodiment(spec, None, folder)
     tree = KinematicTree(embodiment)
     mount = embodiment.body_id(spec.mount_body)
-    T_mount_flange, said = _flange(embodiment, tree, mount)
-    if said:
-        unsure["mount_quat_wxyz"] = said
+    found, said = flange(embodiment, tree, mount)
+    if T_mount_flange is None:
+        T_mount_flange = found
+        if said:
+            unsure["mount_quat_wxyz"] = said
+    if not np.allclose(T_mount_flange, np.eye(4)):
         quat = Rotation.from_matrix(T_mount_flange[:3, :3]).as_quat(scalar_first=True)
         position = [_round(x) for x in T_mount_flange[:3, 3]]
         spec = replace(spec, mount_pos_m=position, mount_quat_wxyz=[round(float(x), 6) + 0.0 for x in quat])
-    reach_m = _reach_m(embodiment, tree, mount, T_mount_flange)
-    u, reached = _home(embodiment, tree, mount, T_mount_flange, reach_m)
+    reach = reach_m(embodiment)
+    u, reached = _home(embodiment, tree, mount, T_mount_flange, reach)
     if not reached:
         unsure["home"] = "no pose was found whose flange points down in front of it; this is the nearest"
     names = [embodiment.joint_names[q] for q in embodiment.coupled.independent]
     spec = replace(spec, home={name: value for name, value in zip(names, u, strict=True)})
-    return ArmGuess(spec, build_embodiment(spec, None, folder), reach_m, unsure)
+    return ArmGuess(spec, build_embodiment(spec, None, folder), reach, unsure)
 
 
 def _round(value: float) -> float:
     return round(float(value), _DIGITS) + 0.0
 
 
-def _flange(embodiment: Embodiment, tree: KinematicTree, mount: int) -> tuple[Array, str]:
+def flange(embodiment: Embodiment, tree: KinematicTree, mount: int) -> tuple[Array, str]:
     """(4, 4) a flange in its link whose z points out of the arm, and why it is not the link's own frame; "" if it is."""
     T = tree.forward(embodiment.home)
     joint = int(tree.arrays.body_joint[mount])
@@ -83,8 +89,8 @@ def _flange(embodiment: Embodiment, tree: KinematicTree, mount: int) -> tuple[Ar
     points = [_in_base(embodiment, T, g) for g in own]
     tip = T[mount, :3, 3]
     ends = np.concatenate(points) @ axis - anchor @ axis if points else np.zeros(1)
-    # Out is where the flange's frame lies of its joint, or else the link's shape, or else where the arm comes from.
-    for hint in (float((tip - anchor) @ axis), float(ends.max() + ends.min()), float((anchor - before) @ axis)):
+    # Out is where the flange's frame lies of its joint, or else away from where the arm comes from, or else where the link's shape lies.
+    for hint in (float((tip - anchor) @ axis), float((anchor - before) @ axis), float(ends.max() + ends.min())):
         if abs(hint) > 5e-3:
             break
     out = axis * (1.0 if hint >= 0 else -1.0)
@@ -111,13 +117,14 @@ def _in_base(embodiment: Embodiment, T_links: Array, geom: int) -> Array:
     return geom_vertices(embodiment.model, geom) @ T[:3, :3].T + T[:3, 3]
 
 
-def _reach_m(embodiment: Embodiment, tree: KinematicTree, mount: int, T_mount_flange: Array) -> float:
-    """The farthest that the flange gets from the arm's second joint, over random poses."""
-    lower, upper = embodiment.independent_limits
-    u = np.random.default_rng(0).uniform(lower, upper, size=(2000, len(lower)))
-    T = tree.forward(embodiment.coupled.expand(u))
-    flange = T[:, mount] @ T_mount_flange
-    return float(np.linalg.norm(flange[:, :3, 3] - T[:, _shoulder(tree, mount), :3, 3], axis=1).max())
+def reach_m(arm: Embodiment) -> float:
+    """The farthest that an arm's flange gets from its second joint, over random poses, m."""
+    assert arm.arm is not None
+    tree, mount = KinematicTree(arm), arm.body_id(arm.arm.mount_body)
+    lower, upper = arm.independent_limits
+    u = np.random.default_rng(0).uniform(lower, upper, size=(_POSES, len(lower)))
+    T = tree.forward(arm.coupled.expand(u))
+    return float(np.linalg.norm(T[:, mount, :3, 3] - T[:, _shoulder(tree, mount), :3, 3], axis=1).max())
 
 
 def _shoulder(tree: KinematicTree, mount: int) -> int:
@@ -135,8 +142,10 @@ def _home(
 ) -> tuple[list[float], bool]:
     """Independent joints, in their limits, whose flange points down in front of the arm, elbow up; and whether they do."""
     lower, upper = embodiment.independent_limits
-    span = np.minimum(upper, np.pi) - np.maximum(lower, -np.pi)
-    low, high = np.maximum(lower, -np.pi) + 0.05 * span, np.minimum(upper, np.pi) - 0.05 * span
+    turns = upper - lower > 2 * np.pi
+    low, high = np.where(turns, np.maximum(lower, -np.pi), lower), np.where(turns, np.minimum(upper, np.pi), upper)
+    span = high - low
+    low, high = low + _MARGIN * span, high - _MARGIN * span
     shoulder = tree.forward(embodiment.home)[_shoulder(tree, mount), :3, 3]
     front = min(_FRONT * reach_m, _MOST_FRONT_M)
     above = min(_ABOVE * reach_m, _MOST_ABOVE_M)
@@ -155,11 +164,16 @@ def _home(
     for start in rng.uniform(low, high, size=(_STARTS, len(low))):
         found = least_squares(residual, np.clip(start, low + 1e-6, high - 1e-6), bounds=(low, high), max_nfev=60)
         error = residual(found.x)
-        inside = clearance.penetration(embodiment.coupled.expand(found.x)[None]).depth_m[0]
+        inside = clearance.penetration(embodiment.coupled.expand(found.x)[None], _NOWHERE_M).depth_m[0]
         T = tree.forward(embodiment.coupled.expand(found.x))
         lowest = float(T[tree.arrays.body_joint >= 1, 2, 3].min())
         margin = float((np.minimum(found.x - low, high - found.x) / span).min())
-        cost = np.square(error).sum() + 100 * inside + (0.0 if hanging else 20 * max(0.0, 0.02 - lowest)) + 2 * max(0.0, 0.1 - margin)
+        cost = (
+            np.square(error).sum()
+            + 100 * inside
+            + (0.0 if hanging else 20 * max(0.0, 0.02 - lowest))
+            + 2 * max(0.0, 0.1 - margin)
+        )
         if best is None or cost < best[0]:
             best = cost, found.x, float(np.abs(error[:6]).max())
     assert best is not None

@@ -13,7 +13,7 @@ from cei_gym.kinematics import KinematicTree
 
 _POINTS = 80
 _LEAST_M = 0.008  # of a fingertip: what is smaller is a mark, not a surface
-_THUMB = ("thumb", "th", "daumen")
+_THUMB = ("thumb", "thj", "thdistal", "daumen")
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ def _of(embodiment: Embodiment, tree: KinematicTree, body: int, mesh: trimesh.Tr
         embodiment.joint_names[embodiment.coupled.independent[u]] for u in joints[:1]
     ]  # the last, which is its own
     words = [word for name in names for word in name.lower().replace("-", "_").replace(".", "_").split("_")]
-    thumb = any(word.startswith("thumb") or word in _THUMB or word.startswith("thj") for word in words)
+    thumb = any(word.startswith(_THUMB) for word in words)
     return Finger(
         body,
         embodiment.link_names[body],

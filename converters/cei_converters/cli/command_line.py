@@ -146,10 +146,15 @@ def _full_name(name: str, options: Mapping[str, object]) -> str:
     Raises:
         CEIError: there is none.
     """
-    for known in (name, f"{name}.method", f"{name}.enabled"):
+    for known in (
+        name,
+        f"{name}_",
+        f"{name}.method",
+        f"{name}.enabled",
+    ):  # the second where Python has another use for it
         if known in options or known == CONFIG_PATH:
             return known
-    raise unknown("option", f"--{name}", (f"--{option}" for option in options))
+    raise unknown("option", f"--{name}", (f"--{option.rstrip('_')}" for option in options))
 
 
 def _of_file(path: Path, options: Mapping[str, object]) -> dict[str, Any]:

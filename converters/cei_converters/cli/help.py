@@ -24,6 +24,7 @@ def explain(parser: argparse.ArgumentParser, config_cls: type) -> None:
             group.title, group.description = "main options", None
         for action in group._group_actions:
             name = action.option_strings[0].removeprefix("--")
+            action.option_strings = [option.rstrip("_") for option in action.option_strings]
             if name in notes:
                 action.help = notes[name].replace("%", "%%")
             elif name == "config_path":

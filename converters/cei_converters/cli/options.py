@@ -37,8 +37,8 @@ def parse_episodes(text: str | None) -> list[int] | None:
     return indices
 
 
-def parse_pose(option: str, text: str | None) -> Array | None:
-    """`x,y,z` or `x,y,z,qw,qx,qy,qz` -> (4, 4) transform, metres; None stays None.
+def parse_pose(option: str, text: str | None, instead: str = "") -> Array | None:
+    """`x,y,z` or `x,y,z,qw,qx,qy,qz` -> (4, 4) transform, metres; None stays None. `instead` is what else the option takes, for the message.
 
     Raises:
         CEIError: it is no pose.
@@ -54,7 +54,9 @@ def parse_pose(option: str, text: str | None) -> Array | None:
         if quaternion_wxyz:
             T[:3, :3] = Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix()
     except ValueError as error:
-        raise CEIError(f"{option}={text} should read x,y,z or x,y,z,qw,qx,qy,qz (metres).") from error
+        raise CEIError(
+            f"{option}={text} should read x,y,z or x,y,z,qw,qx,qy,qz (metres){instead and f', or {instead}'}."
+        ) from error
     return T
 
 

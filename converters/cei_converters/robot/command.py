@@ -20,7 +20,7 @@ def main(args: list[str] | None = None) -> int:
     name, *options = (sys.argv[1:] if args is None else args) or ["--help"]
     if name in ("-h", "--help"):
         print("usage: cei-robot COMMAND --option=value ...\n")
-        for command, (first, what) in COMMANDS.items():
+        for command, (_, what) in COMMANDS.items():
             print(f"  {command:5}  {what}; see cei-robot {command} --help")
         return EXIT_OK
     if name not in COMMANDS:

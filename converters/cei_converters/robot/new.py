@@ -1,0 +1,103 @@
+"""`cei-robot new`: a YAML from a robot's description."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from cei_converters.cli import run
+from cei_gym.errors import unknown
+
+EXAMPLE = """examples:
+  cei-robot new robots/my_arm.urdf
+  cei-robot new robots/my_hand.urdf --as=end_effector --name=MyHand
+  cei-robot new package://my_description/urdf/robot.urdf --package_path=robots --output=embodiments"""
+KINDS = ("arm", "end_effector", "both")
+
+
+@dataclass
+class NewConfig:
+    """Write the YAML of an arm, an end-effector or both from a MJCF or URDF: a guess that `cei-robot check` and `show` look at."""
+
+    description: (
+        str  # The MJCF, URDF or xacro: a path, package://..., robot_descriptions:NAME or mujoco_menagerie:NAME.
+    )
+    as_: str = ""  # arm, end_effector or both; default: found out.
+    name: str = ""  # What it will be called; default: after the file.
+    root: str = ""  # Link to begin at, of a file with more in it; default: the first.
+    output: Path | None = (
+        None  # Folder of your embodiments; default: the first of CEI_GYM_EMBODIMENTS, else embodiments/.
+    )
+    package_path: list[Path] | None = None  # Folders to look for ROS packages in, separated by colons.
+    overwrite: bool = False  # Replace YAMLs that are there already.
+
+    def __post_init__(self) -> None:
+        if self.as_ and self.as_ not in KINDS:
+            raise unknown("--as", self.as_, KINDS)
+
+
+def new(config: NewConfig) -> None:
+    """Write the YAMLs.
+
+    Raises:
+        CEIError: the description is refused, holds nothing of that kind, or a YAML is there already.
+    """
+    from cei_converters.cli.outputs import JOINT_MAP, Outputs
+    from cei_converters.robot.findings import of_yaml, print_findings
+    from cei_gym.embodiment import use_package_path
+    from cei_gym.embodiment.catalogue import FOLDERS, kind_of
+    from cei_gym.onboarding import propose
+    from cei_gym.onboarding.propose import with_description
+    from cei_gym.onboarding.writing import yaml_of
+
+    use_package_path(config.package_path)
+    first = next(filter(None, os.environ.get(FOLDERS, "").split(os.pathsep)), "embodiments")
+    folder = config.output or Path(first)
+    print(f"Reading {config.description} ...", flush=True)
+    proposals = list(propose(config.description, Path.cwd(), config.as_, config.name, config.root))
+    outputs = Outputs(config.overwrite)
+    written = {folder / kind_of(p.spec) / f"{p.spec.name}.yaml": p for p in proposals}
+    files = [outputs.file("--output", path, JOINT_MAP) for path in written]
+    for file, (path, proposal) in zip(files, written.items(), strict=True):
+        assert file is not None
+        with file.whole() as partial:
+            partial.write_text(yaml_of(with_description(proposal, _from(path.parent, config.description))))
+        _tell(path, proposal.spec, proposal.embodiment, proposal.unsure, proposal.notes)
+        print_findings(of_yaml(path))
+    names = [proposal.spec.name for proposal in proposals]
+    print(f"\nLook at it: cei-robot show {next(iter(written))}")
+    if str(folder) not in os.environ.get(FOLDERS, "").split(os.pathsep):
+        print(f"To use {' and '.join(names)} by name: export {FOLDERS}={folder.resolve()}")
+
+
+def _from(folder: Path, description: str) -> str:
+    """A description as a YAML in `folder` names it."""
+    if ":" in description.partition("/")[0]:
+        return description
+    path = Path(description).expanduser().resolve()
+    common = Path(os.path.commonpath([path, folder.resolve()]))
+    # A relative one travels with its folder, if they have one in common.
+    return os.path.relpath(path, folder.resolve()) if len(common.parts) > 2 else str(path)
+
+
+def _tell(path: Path, spec, embodiment, unsure: dict[str, str], notes: list[str]) -> None:
+    from cei_converters.cli.table import print_table
+
+    print(f"\nWrote {path}")
+    rows = zip(
+        embodiment.joint_names, embodiment.lower, embodiment.upper, embodiment.home, embodiment.closed,
+        embodiment.max_velocity, embodiment.joint_units, strict=True,
+    )  # fmt: skip
+    table = [
+        {"joint": name, "from": float(low), "to": float(high), "home": float(home), "closed": float(closed), "speed": float(speed), "unit": unit}
+        for name, low, high, home, closed, speed, unit in rows
+    ]  # fmt: skip
+    print_table(table, "Its joints")
+    for field, why in unsure.items():
+        print(f"  unsure of {field}: {why}")
+    for note in notes:
+        print(f"  {note}")
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `cei-robot new`."""
+    return run(NewConfig, new, args, prog="cei-robot new", example=EXAMPLE)
