@@ -58,10 +58,10 @@ def register_environments() -> None:
     """Register with Gymnasium what is not registered yet: for robots that `CEI_GYM_EMBODIMENTS` has named since the import."""
     for point in plugins.found("cei_gym.environments"):
         point.load()()
+    if not extras.installed("cei_envs"):
+        from cei_gym import absent
+
+        absent.register()
 
 
 register_environments()
-if not extras.installed("cei_envs"):
-    from cei_gym import absent
-
-    absent.register()

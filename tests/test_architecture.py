@@ -107,6 +107,8 @@ LAYERS = {
     "cei_gym.embodiment": [
         *(
             "names",
+            "checked",
+            "servo",
             "spec",
             "named",
             "resources",
@@ -185,9 +187,11 @@ LAYERS = {
 """The rooms of every package, each above those that it may know."""
 
 ON_DEMAND = {
+    ("cei_gym", "absent"): {"cei_gym.embodiment"},
     ("cei_envs", "environment"): {"cei_envs.experts", "cei_envs.teleoperation"},
 }
-"""What a room asks of one above it only when a caller wants it: a demonstrator and a device are no part of running an environment."""
+"""What a room asks of one above it only when a caller wants it: a demonstrator and a device are no part of running an environment; robots of one's own
+are looked for only where there are some."""
 
 
 def rooms(package: str) -> dict[str, list[Path]]:

@@ -309,12 +309,15 @@ def test_robosuite_says_where_its_robots_stand() -> None:
         ),
         (
             "CEI-PickCube-LabArm-Hand",
-            "PandaGripper, LabHand. One of your own is a YAML in a folder that CEI_GYM_EMBODIMENTS names.",
+            "PandaGripper, LabHand. `cei-robot new FILE` makes one of your own from a description, in a folder that CEI_GYM_EMBODIMENTS names.",
         ),
         (
             "CEI-PickCubes-LabArm-LabHand",
-            "unknown task 'PickCubes'. Did you mean 'PickCube'? Valid: OpenDrawer, PickCube, StackCube.",
+            "unknown task 'PickCubes'. Did you mean 'PickCube'? Valid: OpenDrawer, PickCube, StackCube. The robot LabArm-LabHand is known: ",
         ),
+        ("CEI-PickCubes-LabArm-LabHand", "/arms/LabArm.yaml, "),
+        ("CEI-PickCubes-Panda-LabHand", "The robot Panda-LabHand is known: "),
+        ("CEI-PickCubes-Panda-Inspire", "The robot Panda-Inspire is known."),
         ("CEI-PickCube", "unknown environment 'CEI-PickCube'. Did you mean"),
     ],
 )

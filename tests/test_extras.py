@@ -157,6 +157,20 @@ def test_names_of_environments_that_are_not_installed_are_those_that_are() -> No
     assert {*done.stdout.split()} == {*environment_ids()}, done.stderr
 
 
+def test_a_robot_of_ones_own_is_known_where_its_environments_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "arms").mkdir()
+    (tmp_path / "arms/LabArm.yaml").write_text("")  # nobody looks at it
+    monkeypatch.setenv("CEI_GYM_EMBODIMENTS", str(tmp_path))
+    code = "import sys, cei_gym, gymnasium\n" + python('gymnasium.make("CEI-PickCube-LabArm-Inspire")')
+    done = without(EXTRAS["robosuite"].modules, code)
+    assert done.stderr == (
+        'error: CEI-PickCube-LabArm-Inspire needs robosuite: pip install "cei-gym[robosuite]". '
+        f"LabArm-Inspire itself is known: {tmp_path / 'arms/LabArm.yaml'}.\n"
+    )
+
+
 # -- the line -------------------------------------------------------------------------------------------------------
 
 

@@ -1,38 +1,21 @@
 """The small typed YAML of an arm and of an end-effector."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
-from math import inf, isfinite
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 from typing import Any, ClassVar
 
 import draccus
 
+from cei_gym.embodiment.checked import Checked
+from cei_gym.embodiment.servo import OF_ARMS, OF_END_EFFECTORS, Servo
 from cei_gym.errors import CEIError, one_line, unknown
 from cei_gym.untrusted import load_yaml
 
 
-class _Checked:
-    """Refuses a field without a value, YAML's null, and numbers that are not finite."""
-
-    def __post_init__(self) -> None:
-        for each in fields(self):  # pyright: ignore[reportArgumentType]  (all that derive from it are dataclasses)
-            for value in _leaves(getattr(self, each.name)):
-                if value is None or (isinstance(value, float) and not isfinite(value)):
-                    raise CEIError(f"`{each.name}` has {value} where a value should be.")
-
-
-def _leaves(value: Any) -> Iterator[Any]:
-    if isinstance(value, (list, tuple, Mapping)):
-        items: Iterable[Any] = value.values() if isinstance(value, Mapping) else value
-        for item in items:
-            yield from _leaves(item)
-    else:
-        yield value
-
-
 @dataclass(frozen=True)
-class Coupling(_Checked):
+class Coupling(Checked):
     """One joint that follows another: `q_follower = scale * q_leader + offset`.
 
     Attributes:
@@ -48,7 +31,7 @@ class Coupling(_Checked):
     ignore_limits: bool = False
 
 
-class _Part(_Checked):
+class _Part(Checked):
     """What an arm and an end-effector have in common."""
 
     SELF_CONTACT: ClassVar[tuple[str, ...]]
@@ -92,7 +75,7 @@ class _Part(_Checked):
 
 
 @dataclass(frozen=True)
-class Pad(_Checked):
+class Pad(Checked):
     """One finger pad: the palmar side of some geoms of a link.
 
     Attributes:
@@ -114,7 +97,7 @@ class Pad(_Checked):
 
 
 @dataclass(frozen=True)
-class PhysicsException(_Checked):
+class PhysicsException(Checked):
     """A departure from the physics that the simulator ships, with its reason.
 
     Attributes:
@@ -131,42 +114,6 @@ class PhysicsException(_Checked):
     enabled: bool = True
     required: bool = False
     parameters: dict[str, Any] = field(default_factory=dict[str, Any])
-
-
-@dataclass(frozen=True)
-class Servo(_Checked):
-    """How a simulation drives joints that its simulator has no controller for: position servos with gains by what they move.
-
-    Of the inertia that a joint feels at home, rotor included, `kp = frequency_rad_s^2 inertia` and
-    `kv = 2 damping_ratio frequency_rad_s inertia`.
-
-    Attributes:
-        frequency_rad_s: of the undamped loop.
-        damping_ratio: 1 is critical.
-        armature_kg_m2: inertia of a hinge's rotor, as the joint feels it.
-        armature_kg: the same of a slide.
-        torque_n_m: most of a hinge whose description gives no effort; 0 is without limit.
-        force_n: the same of a slide.
-    """
-
-    frequency_rad_s: float = 60.0
-    damping_ratio: float = 1.0
-    armature_kg_m2: float = 0.1
-    armature_kg: float = 1.0
-    torque_n_m: float = 0.0
-    force_n: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("frequency_rad_s", "damping_ratio"):
-            if not getattr(self, name) > 0:
-                raise CEIError(f"`{name}` should be above 0, not {getattr(self, name)}.")
-        for name in ("armature_kg_m2", "armature_kg", "torque_n_m", "force_n"):
-            if not getattr(self, name) >= 0:
-                raise CEIError(f"`{name}` should be at least 0, not {getattr(self, name)}.")
-
-
-_FINGERS = Servo(frequency_rad_s=100.0, armature_kg_m2=0.001, armature_kg=0.05, torque_n_m=2.0, force_n=40.0)
 
 
 @dataclass(frozen=True)
@@ -218,7 +165,7 @@ class ArmSpec(_Part):
     couplings: dict[str, Coupling] = field(default_factory=dict[str, Coupling])
     package_path: list[str] = field(default_factory=list[str])
     xacro_args: dict[str, Any] = field(default_factory=dict[str, Any])
-    servo: Servo = Servo()
+    servo: Servo = OF_ARMS
     remark: str = ""
     self_contact: str = "none"
     folder: str = ""
@@ -268,7 +215,7 @@ class EndEffectorSpec(_Part):
     physics: list[PhysicsException] = field(default_factory=list[PhysicsException])
     package_path: list[str] = field(default_factory=list[str])
     xacro_args: dict[str, Any] = field(default_factory=dict[str, Any])
-    servo: Servo = _FINGERS
+    servo: Servo = OF_END_EFFECTORS
     remark: str = ""
     self_contact: str = "none"
     folder: str = ""

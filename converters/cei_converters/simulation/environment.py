@@ -10,10 +10,11 @@ from gymnasium.envs.registration import load_env_creator
 import cei_gym
 from cei_gym.absent import unavailable
 from cei_gym.embodiment import arm_names, end_effector_names
-from cei_gym.embodiment.catalogue import FOLDERS
+from cei_gym.embodiment.catalogue import FOLDERS, own_yamls
 from cei_gym.errors import CEIError, one_line, unknown
 
 PREFIX = "CEI-"
+HOW_TO_MAKE_ONE = f"`cei-robot new FILE` makes one of your own from a description, in a folder that {FOLDERS} names."
 
 
 def open_environment(env_id: str, **kwargs: Any) -> gym.Env:
@@ -39,14 +40,18 @@ def open_environment(env_id: str, **kwargs: Any) -> gym.Env:
 def _unknown(env_id: str, ids: list[str]) -> CEIError:
     """What of an id is not known: its task, its arm or its end-effector, where it is made like ours."""
     prefix, *parts = env_id.split("-")
-    if f"{prefix}-" == PREFIX and len(parts) == 3:
-        tasks = list(dict.fromkeys(name.split("-")[1] for name in ids))
-        kinds = {"task": tasks, "arm": arm_names(), "end-effector": end_effector_names()}
-        for (kind, valid), name in zip(kinds.items(), parts, strict=True):
-            if name not in valid:
-                own = "" if kind == "task" else f" One of your own is a YAML in a folder that {FOLDERS} names."
-                return CEIError(f"{env_id}: {unknown(kind, name, valid)}{own}")
-    return unknown("environment", env_id, ids)
+    if f"{prefix}-" != PREFIX or len(parts) != 3:
+        return unknown("environment", env_id, ids)
+    task, arm, end_effector = parts
+    for kind, name, valid in (("arm", arm, arm_names()), ("end-effector", end_effector, end_effector_names())):
+        if name not in valid:
+            return CEIError(f"{env_id}: {unknown(kind, name, valid)} {HOW_TO_MAKE_ONE}")
+    robot, tasks = f"{arm}-{end_effector}", list(dict.fromkeys(name.split("-")[1] for name in ids))
+    yamls = [str(path) for path in own_yamls(robot)]
+    known = f"The robot {robot} is known{': ' if yamls else ''}{', '.join(yamls)}."
+    if task not in tasks:
+        return CEIError(f"{env_id}: {unknown('task', task, tasks)} {known}")
+    return CEIError(f"{env_id}: no installed package registers it for this robot. {known}")
 
 
 def check_arguments(env_id: str, kwargs: Mapping[str, Any]) -> None:
