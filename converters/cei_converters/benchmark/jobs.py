@@ -21,7 +21,7 @@ from cei_gym.errors import CEIError
 JOINTS_ONLY = ("--clouds.robot_points=256", "--clouds.points=16")
 
 
-def record_source(task: str, folder: Path, seeds: range) -> list[int]:
+def record_source(task: str, folder: Path, seeds: range, source: str = SOURCE) -> list[int]:
     """Record the source's demonstrations of a task, unless this very commit already has.
 
     Returns:
@@ -30,24 +30,26 @@ def record_source(task: str, folder: Path, seeds: range) -> list[int]:
     Raises:
         CEIError: it failed with all.
     """
-    root = _root(Cell(task, SOURCE), folder)
+    root = _root(Cell(task, source), folder)
     if not _is_current(root):
         shutil.rmtree(root.parent, ignore_errors=True)
         try:
-            record(RecordConfig(f"CEI-{task}-{SOURCE}", _repo_id(root), root, len(seeds), seeds[0]))
+            record(RecordConfig(f"CEI-{task}-{source}", _repo_id(root), root, len(seeds), seeds[0]))
         except CEIError:  # the expert failed; what did succeed is there
             if not root.exists():
                 raise
     return sorted(set(seeds) - set(_seeds(root)))
 
 
-def run_cell(cell: Cell, folder: Path, keep_dataset: bool) -> dict[str, Any]:
+def run_cell(cell: Cell, folder: Path, keep_dataset: bool, source: str = SOURCE, stock: bool = True) -> dict[str, Any]:
     """Convert the source's demonstrations and replay them; with stock physics too if the method is not varied.
 
     Args:
         cell: what to run.
         folder: holds the source's dataset, and the cell's own while it runs.
         keep_dataset: leave the cell's own there.
+        source: whose demonstrations they are.
+        stock: whether to replay with stock physics at all.
 
     Returns:
         The cell's JSON but for what `Results` and the command add.
@@ -55,13 +57,13 @@ def run_cell(cell: Cell, folder: Path, keep_dataset: bool) -> dict[str, Any]:
     Raises:
         CEIError: as `convert` and `replay`.
     """
-    source, root = _root(Cell(cell.task, SOURCE), folder), _root(cell, folder)
+    recorded, root = _root(Cell(cell.task, source), folder), _root(cell, folder)
     seconds: dict[str, float] = {}
-    found: dict[str, Any] = {"source_seeds": _seeds(source)}
-    if root != source:
+    found: dict[str, Any] = {"source_seeds": _seeds(recorded)}
+    if root != recorded:
         shutil.rmtree(root.parent, ignore_errors=True)  # left by a run that was stopped
         options = [
-            *(f"--dataset.repo_id={_repo_id(source)}", f"--dataset.root={source}", f"--target={cell.target}"),
+            *(f"--dataset.repo_id={_repo_id(recorded)}", f"--dataset.root={recorded}", f"--target={cell.target}"),
             *(f"--new_repo_id={_repo_id(root)}", f"--new_root={root}", "--allow_unreachable", "--workers=1"),
             *(() if keep_dataset else JOINTS_ONLY),
             *VARIANTS[cell.variant],
@@ -70,10 +72,10 @@ def run_cell(cell: Cell, folder: Path, keep_dataset: bool) -> dict[str, Any]:
         found["alignment"] = converted["results"]
     dataset = DatasetConfig(_repo_id(root), root)
     found["replay"] = _timed(seconds, "replay", lambda: replay(ReplayConfig(dataset, video_episodes=0)))
-    if cell.variant == "cei":
+    if stock and cell.variant == "cei":
         config = ReplayConfig(dataset, stock_physics=True, video_episodes=0)
         found["stock_replay"] = _timed(seconds, "stock_replay", lambda: replay(config))
-    if root != source and not keep_dataset:
+    if root != recorded and not keep_dataset:
         shutil.rmtree(root.parent)
     return found | {"seconds": {k: round(s, 1) for k, s in seconds.items()}}
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cei_converters.benchmark.cells import VARIANTS, Cell, all_cells
+from cei_converters.benchmark.cells import SOURCE, VARIANTS, Cell, all_cells
 from cei_converters.cli.outputs import Output
 from cei_converters.cli.result import write_json
 from cei_converters.dataset.place import check_parent
@@ -20,10 +20,12 @@ class Results:
     Attributes:
         folder: where they are.
         seeds: of the demonstrations.
+        source: whose they are.
     """
 
     folder: Path
     seeds: range
+    source: str = SOURCE
 
     def path(self, cell: Cell) -> Path:
         """File of a cell."""
@@ -33,7 +35,8 @@ class Results:
         """What a finished cell must have been made with to count."""
         seeds = [self.seeds[0], self.seeds[-1]]
         names = {"task": cell.task, "target": cell.target, "variant": cell.variant}
-        return {"seeds": seeds, **names, "options": VARIANTS[cell.variant]}
+        source = {} if self.source == SOURCE else {"source": self.source}
+        return {"seeds": seeds, **names, **source, "options": VARIANTS[cell.variant]}
 
     def read(self, cell: Cell) -> dict[str, Any] | None:
         """A finished cell; None if it is not.
