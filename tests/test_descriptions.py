@@ -793,6 +793,92 @@ def test_floors_and_what_hangs_elsewhere_are_left_out_and_said(tmp_path: Path) -
     )
 
 
+FREE = """<mujoco><compiler angle="radian"/><worldbody><body name="palm">{free}<geom size=".02"/>
+<body name="f"><joint name="j" range="0 1"/><geom size=".01"/></body></body></worldbody>{more}</mujoco>"""
+FLOATING = f"""<robot name="r"><link name="world"/><link name="palm">{INERTIAL}</link><link name="f">{INERTIAL}</link>
+<joint name="base" type="floating"><parent link="world"/><child link="palm"/></joint>
+<joint name="j" type="revolute"><parent link="palm"/><child link="f"/><axis xyz="0 0 1"/>{LIMIT}</joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("hand.xml", FREE.format(free="<freejoint/>", more="")),
+        (
+            "hand.xml",
+            FREE.format(
+                free='<joint name="free" type="free"/>',
+                more='<actuator><motor joint="free" gear="1 0 0 0 0 0"/></actuator>'
+                '<equality><weld body1="palm" name="held"/></equality>',
+            ),
+        ),
+        ("hand.urdf", FLOATING),
+    ],
+)
+def test_a_base_that_floats_stands_still_and_it_is_said(tmp_path: Path, name: str, text: str) -> None:
+    hand = hand_of(tmp_path / name, text)
+    arm = build_embodiment(ArmSpec("Arm", str(tmp_path / name), "f", {}), None)
+    both = build_embodiment(load_arm("Panda"), load_spec(EndEffectorSpec, tmp_path / "hand.yaml"))
+    for built in (hand, arm, both):
+        assert built.joint_names[-1] == "j" and "free" not in built.joint_names
+        assert any("the free joint of link 'palm' is left out" in note for note in built.notes)
+    assert (len(hand.joint_names), len(arm.joint_names), len(both.joint_names)) == (1, 1, 8)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (
+            "tool.xml",
+            '<mujoco><worldbody><body name="tool"><body name="tcp" pos="0 0 0.1"/></body></worldbody></mujoco>',
+        ),
+        ("tool.urdf", '<robot name="r"><link name="tool"/></robot>'),
+        (
+            "tool.urdf",
+            '<robot name="r"><link name="tool"><visual><geometry><sphere radius="0.1"/></geometry></visual></link></robot>',
+        ),
+    ],
+)
+def test_a_tool_without_inertia_is_one_and_it_is_said(tmp_path: Path, name: str, text: str) -> None:
+    tool = hand_of(tmp_path / name, text)
+    held = build_embodiment(load_arm("Panda"), load_spec(EndEffectorSpec, tmp_path / "hand.yaml"))
+    for built in (tool, held):
+        assert any("weighs nothing" in note for note in built.notes)
+    assert len(held.joint_names) == 7
+    weighed = hand_of(tmp_path / "heavy.urdf", f'<robot name="r"><link name="tool">{INERTIAL}</link></robot>')
+    assert not any("weighs nothing" in note for note in weighed.notes)
+
+
+MIMICKED = f"""<robot name="r"><link name="palm">{INERTIAL}</link><link name="crank">{INERTIAL}</link><link name="rocker">{INERTIAL}</link>
+<link name="coupler">{INERTIAL}</link>
+<joint name="a" type="revolute"><parent link="palm"/><child link="crank"/><axis xyz="0 0 1"/>{LIMIT}</joint>
+<joint name="c" type="revolute"><parent link="palm"/><child link="rocker"/><origin xyz="0.03 0 0"/><axis xyz="0 0 1"/>{LIMIT}
+<mimic joint="a"/></joint>
+<joint name="b" type="revolute"><parent link="crank"/><child link="coupler"/><origin xyz="0 0.05 0"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="0" effort="1" velocity="1"/><mimic joint="a" multiplier="-1"/></joint>{{}}</robot>"""
+
+
+def test_a_loop_that_mimics_keep_closed_stays_closed(tmp_path: Path) -> None:
+    """A parallelogram: the coupler's end, 30 mm along it, is the rocker's, 50 mm along that."""
+    hand = hand_of(tmp_path / "hand.urdf", MIMICKED.format(""))
+    assert [hand.joint_names[q] for q in hand.coupled.independent] == ["a"]
+    data = mujoco.MjData(hand.model)
+    for u in (0.0, 0.4, 1.0):
+        data.qpos[:] = hand.coupled.expand(np.array([u]))
+        mujoco.mj_kinematics(hand.model, data)
+        ends = [
+            data.xpos[body] + data.xmat[body].reshape(3, 3) @ tip
+            for body, tip in ((hand.body_id("coupler"), (0.03, 0, 0)), (hand.body_id("rocker"), (0, 0.05, 0)))
+        ]
+        np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+
+
+def test_a_loop_that_a_urdf_cannot_have_is_refused_with_the_joints(tmp_path: Path) -> None:
+    closing = '<joint name="d" type="fixed"><parent link="rocker"/><child link="coupler"/></joint>'
+    message = refusal(lambda: hand_of(tmp_path / "hand.urdf", MIMICKED.format(closing)))
+    assert "link 'coupler' hangs on 'b' and 'd'" in message and "<mimic>" in message
+
+
 # -- what asks for time or memory ----------------------------------------------------------------------------
 
 

@@ -645,7 +645,7 @@ def test_an_arm_without_joints_is_an_embodiment(tmp_path: Path) -> None:
             "no enclosing folder is named 'ros'",
         ),
         (
-            '<mujoco><worldbody><body name="b"><freejoint/><geom size="1"/></body></worldbody></mujoco>',
+            '<mujoco><worldbody><body name="b"><joint type="ball"/><geom size="1"/></body></worldbody></mujoco>',
             "neither a hinge",
         ),
     ],

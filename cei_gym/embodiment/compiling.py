@@ -8,11 +8,13 @@ import numpy as np
 
 from cei_gym.arrays import Array
 from cei_gym.embodiment.assets import Assets, check_compiled
+from cei_gym.embodiment.names import END_EFFECTOR_PREFIX, public_name
 from cei_gym.errors import CEIError, one_line
 
 _LARGEST_M = 5.0  # no link is larger, nor farther from the one before
 _MASSLESS_KG, _MASSLESS_KG_M2 = 1e-6, 1e-9
 _SAME_LOOP_M = 0.003
+_CLOSING = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
 def compile_spec(
@@ -21,7 +23,8 @@ def compile_spec(
     """Compile an embodiment.
 
     A link without mass (a tool frame on a joint) gets next to none, a mesh without volume counts as a thin shell, and a base does not
-    touch the links on its own joints: MuJoCo sees to that for a link that moves and not for one that is fixed to the world.
+    touch the links on its own joints: MuJoCo sees to that for a link that moves and not for one that is fixed to the world. A base
+    stands still: its free joint is left out.
 
     Args:
         name: for messages.
@@ -35,9 +38,9 @@ def compile_spec(
     Raises:
         CEIError: MuJoCo cannot compile it, or the result is not what the description shows.
     """
+    notes = _without_free_bases(spec)
     _exclude_base_contacts(spec, set(held))
     spec.assets = {key: content for each in assets for key, content in each.contents.items()}
-    notes: list[str] = []
     for _ in range(1 + len(spec.bodies) + len(spec.meshes)):
         try:
             model = spec.compile()
@@ -47,8 +50,38 @@ def compile_spec(
         else:
             check_compiled(spec, model, assets)
             _check_sizes(name, model)
-            return model, notes
+            return model, [*notes, *_weightless(model)]
     raise CEIError(f"{name}: MuJoCo cannot compile it.")
+
+
+def _without_free_bases(spec: mujoco.MjSpec) -> list[str]:
+    """Leave out the free joints of what stands on the world, or hangs on an arm, with their motors and what ties them to the world."""
+    inside = END_EFFECTOR_PREFIX
+    bases: list[mujoco.MjsBody] = [*spec.worldbody.bodies]
+    bases += [
+        body
+        for parent in spec.bodies
+        for body in parent.bodies
+        if body.name.startswith(inside) and not parent.name.startswith(inside) and body not in bases
+    ]
+    free = [joint for body in bases for joint in body.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    links = {joint.parent.name for joint in free}
+    names = {joint.name for joint in free if joint.name}
+    on_joints = [actuator for actuator in spec.actuators if actuator.target in names]
+    to_world = [
+        equality
+        for equality in spec.equalities
+        if equality.type in _CLOSING and {equality.name1, equality.name2} - links <= {"", "world"}
+    ]
+    for element in (*on_joints, *to_world, *free):
+        spec.delete(element)
+    return [f"the free joint of link {public_name(link)!r} is left out: a base stands still." for link in sorted(links)]
+
+
+def _weightless(model: mujoco.MjModel) -> list[str]:
+    """A sentence about an end-effector of which nothing has a mass."""
+    mass_kg = [model.body_mass[i] for i in range(model.nbody) if model.body(i).name.startswith(END_EFFECTOR_PREFIX)]
+    return ["the end-effector weighs nothing: none of its links has a mass."] if mass_kg and not sum(mass_kg) else []
 
 
 def _repaired(spec: mujoco.MjSpec, message: str, notes: list[str]) -> bool:
@@ -137,8 +170,7 @@ def check_loops(name: str, model: mujoco.MjModel, poses: dict[str, Array]) -> No
     Raises:
         CEIError: one opens.
     """
-    closing = [mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD]
-    loops = np.flatnonzero(np.isin(model.eq_type, closing) & (model.eq_active0 != 0))
+    loops = np.flatnonzero(np.isin(model.eq_type, _CLOSING) & (model.eq_active0 != 0))
     data = mujoco.MjData(model)
     for pose, qpos in poses.items() if len(loops) else ():
         data.qpos[:] = qpos

@@ -187,7 +187,17 @@ def _strip(element: Element) -> None:
 
 
 def _check_one_root(tree: Element) -> None:
-    children = {child.get("link") for child in tree.iterfind("joint/child")}
+    on: dict[str, list[str]] = {}
+    for joint in tree.iterfind("joint"):
+        for child in joint.iterfind("child"):
+            on.setdefault(child.get("link", ""), []).append(joint.get("name", ""))
+    for link, joints in on.items():
+        if len(joints) > 1:
+            raise CEIError(
+                f"link {link!r} hangs on {' and '.join(map(repr, joints[:2]))}, a loop, which a URDF cannot have; leave one out, and let"
+                " its joints follow each other by <mimic>, or by `couplings` in the YAML."
+            )
+    children = on.keys()
     roots = [name for link in tree.iterfind("link") if (name := link.get("name", "")) not in children]
     if len(roots) > 1:
         raise CEIError(f"links {', '.join(map(repr, roots[:5]))} hang on no joint; a robot has one base.")
