@@ -101,7 +101,7 @@ def test_the_matrix_has_the_robots_tasks_and_experts_of_the_code() -> None:
     assert [row[0] for row in rows] == [f"{arm}-{end_effector}" for arm in ARMS for end_effector in END_EFFECTORS]
     for robot, source, target, *cells in rows:
         assert (source, target) == ("yes", "yes")
-        assert cells == ["env, expert" if robot in task.experts else "env" for task in TASKS], robot
+        assert cells == ["env, expert" if task.expert_of(robot) else "env" for task in TASKS], robot
 
 
 def test_the_matrix_has_the_formats_of_the_code() -> None:

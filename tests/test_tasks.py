@@ -491,7 +491,7 @@ def test_without_an_expert_those_there_are_are_named(task: str, name: str) -> No
     message = str(error.value)
     assert message.startswith(f"no scripted expert for CEI-{task}-{name}. There is one for: ")
     assert "\n" not in message
-    assert all(f"CEI-{task}-{PANDA}" in message for task in ("OpenDrawer", "PickCube", "StackCube"))
+    assert all(f"CEI-{task}-<Arm>-PandaGripper" in message for task in ("OpenDrawer", "PickCube", "StackCube"))
 
 
 # -- physics -------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ class Task:
     Attributes:
         name: the middle of `CEI-<Task>-<Arm>-<EndEffector>`.
         environment: "module:Class", a subclass of `cei_envs.environment.CEIEnv`.
-        experts: embodiment to "module:Class" of a `cei_envs.experts.Expert` that solves the task with it.
+        experts: embodiment, or end-effector on any arm, to "module:Class" of a `cei_envs.experts.Expert` that solves the task with it.
         max_episode_steps: after which an episode is truncated.
     """
 
@@ -27,17 +27,21 @@ class Task:
     experts: Mapping[str, str] = field(default_factory=dict[str, str])
     max_episode_steps: int = 400
 
+    def expert_of(self, embodiment: str) -> str | None:
+        """The expert for an embodiment, "module:Class"; None if there is none."""
+        return self.experts.get(embodiment, self.experts.get(embodiment.partition("-")[2]))
 
-_PANDA = "Panda-PandaGripper"
+
+_GRIPPER = "PandaGripper"
 OWN = (
     Task(
         "OpenDrawer",
         "cei_envs.tasks.open_drawer:OpenDrawerEnv",
-        {_PANDA: "cei_envs.experts.open_drawer:OpenDrawerExpert"},
+        {_GRIPPER: "cei_envs.experts.open_drawer:OpenDrawerExpert"},
     ),
-    Task("PickCube", "cei_envs.tasks.pick_cube:PickCubeEnv", {_PANDA: "cei_envs.experts.pick_cube:PickCubeExpert"}),
+    Task("PickCube", "cei_envs.tasks.pick_cube:PickCubeEnv", {_GRIPPER: "cei_envs.experts.pick_cube:PickCubeExpert"}),
     Task(
-        "StackCube", "cei_envs.tasks.stack_cube:StackCubeEnv", {_PANDA: "cei_envs.experts.stack_cube:StackCubeExpert"}
+        "StackCube", "cei_envs.tasks.stack_cube:StackCubeEnv", {_GRIPPER: "cei_envs.experts.stack_cube:StackCubeExpert"}
     ),
 )
 

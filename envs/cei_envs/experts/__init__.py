@@ -17,11 +17,17 @@ def make_expert(task: str, embodiment: Embodiment, T_world_base: Array, seed: in
     Raises:
         CEIError: there is none (the message lists those there are), or it is no `Expert`.
     """
-    known = {(each.name, robot): value for each in tasks().values() for robot, value in each.experts.items()}
-    if (task, embodiment.name) not in known:
-        listed = ", ".join(environment_id(*pair) for pair in known)
+    known = tasks()
+    named = known[task].expert_of(embodiment.name) if task in known else None
+    if named is None:
+        robots = [
+            (each.name, robot if "-" in robot else f"<Arm>-{robot}")
+            for each in known.values()
+            for robot in each.experts
+        ]
+        listed = ", ".join(environment_id(*pair) for pair in robots)
         raise CEIError(f"no scripted expert for {environment_id(task, embodiment.name)}. There is one for: {listed}.")
-    kind = resolve_name(named := known[task, embodiment.name])
+    kind = resolve_name(named)
     if not (isinstance(kind, type) and issubclass(kind, Expert)):
         raise CEIError(f"{named} is no cei_envs.experts.Expert.")
     return kind(embodiment, T_world_base, seed, variation)
