@@ -175,6 +175,10 @@ def test_packages_of_the_package_path(tmp_path: Path, monkeypatch: pytest.Monkey
         hand(path)
     use_package_path([tmp_path / "workspace"])
     assert hand(path).joint_names == ("left_joint", "right_joint")
+    known = fingerprint(hand(path))
+    (tmp_path / "workspace").rename(tmp_path / "moved")
+    use_package_path([tmp_path / "moved/my_hand"])
+    assert fingerprint(hand(path)) == known
 
 
 COMPARED = {
@@ -372,6 +376,23 @@ def test_a_namespace_is_no_value(tmp_path: Path) -> None:
 )
 def test_a_substitution_that_is_not_allowed(tmp_path: Path, text: str, said: str) -> None:
     assert said in refusal(tmp_path, f'<x v="{text}"/>')
+
+
+@pytest.mark.parametrize("name", ["x/><mesh", "a b", "", "1a", 'a="b"', "${'x>'}", "a\u00e9", "xml:a:b", "a&gt;"])
+def test_a_name_that_is_made_is_nothing_but_a_name(tmp_path: Path, name: str) -> None:
+    quoted = name.replace('"', "&quot;").replace("<", "&lt;")
+    assert "no name of" in refusal(tmp_path, f'<xacro:element xacro:name="{quoted}"/>')
+    assert "no name of" in refusal(tmp_path, f'<a><xacro:attribute name="{quoted}" value="1"/></a>')
+
+
+@pytest.mark.parametrize("text", [r"\x00", r"\x07", r"\ud800", r"\ufffe"])
+def test_a_value_that_no_xml_has_is_refused(tmp_path: Path, text: str) -> None:
+    assert "no XML has" in refusal(tmp_path, f"""<x v="${{'{text}'}}"/>""")
+
+
+def test_an_expression_warns_nobody(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    expanded_text(tmp_path, r"""<x v="${'\d' if 1else 2}"/>""")
+    assert not recwarn.list
 
 
 def test_an_optional_variable_has_its_default_and_it_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

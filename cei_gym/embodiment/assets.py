@@ -1,7 +1,6 @@
 """The files that a description names, read once and checked, in memory under names of their own."""
 
 import io
-import os
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
@@ -162,7 +161,7 @@ class Assets:
         return read_file(self.place.inside(path.parent / name, name), name, MAX_BYTES)
 
     def _add(self, path: Path, content: bytes, suffix: str, variant: str) -> str:
-        told_apart = f"{os.path.relpath(path, self.place.root)} {variant} {len(content)} {crc32(content)}"
+        told_apart = f"{self.place.relative(path)} {variant} {len(content)} {crc32(content)}"
         digest = blake2b(told_apart.encode(), digest_size=8).hexdigest()
         stem = "".join(c if c.isascii() and c.isalnum() else "_" for c in path.stem[:40])
         key = f"{stem}-{digest}{suffix}"

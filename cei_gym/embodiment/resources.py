@@ -54,6 +54,13 @@ class Place:
         """
         return within(self.root, path, what)
 
+    def relative(self, path: Path) -> str:
+        """`path` from the root, or from the package that it is in: the same wherever those lie."""
+        if path.is_relative_to(self.root):
+            return os.path.relpath(path, self.root)
+        package = next((folder for folder in path.parents if (folder / "package.xml").is_file()), path.parent)
+        return os.path.relpath(path, package)
+
     def package(self, name: str) -> Path:
         """Folder of a ROS package: one around the description, however it is called if its `package.xml` has the name, one in the
         root, or one of the package path.

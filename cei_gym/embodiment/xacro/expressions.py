@@ -1,23 +1,17 @@
 """The expressions of a xacro, by a whitelist of Python's syntax and functions, bounded in size and work; nothing is run by Python's `eval`."""
 
 import ast
-import math
 import operator
-import re
+import warnings
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Protocol
 
+from cei_gym.embodiment.xacro.functions import CONSTANTS, FUNCTIONS, MAX_SIZE, METHODS, Fault, Value, size
 from cei_gym.errors import CEIError, one_line
-
-MAX_SIZE = 100_000
-"""Letters and entries of one value."""
 
 _MAX_WORK, _MAX_BITS, _MAX_EXPRESSION = 3_000_000, 1024, 10_000
 _SHOWN = 80
-
-Value = Any
-"""None, bool, int, float, str, or a list or dict of such."""
 
 
 class Names(Protocol):
@@ -28,10 +22,6 @@ class Names(Protocol):
     def __getitem__(self, name: str, /) -> Value: ...
 
 
-class Fault(CEIError):
-    """What is wrong with an expression, without the expression."""
-
-
 class Evaluator:
     """Evaluates the expressions of one file and what it includes; all of them together may take so much work.
 
@@ -40,7 +30,7 @@ class Evaluator:
     """
 
     def __init__(self, functions: Mapping[str, Callable[..., Value]]) -> None:
-        self._functions = {**_FUNCTIONS, **functions}
+        self._functions = {**FUNCTIONS, **functions}
         self._work = 0
 
     def value(self, expression: str, names: Names) -> Value:
@@ -89,8 +79,8 @@ class Evaluator:
             case ast.Name(id=name):
                 if name in names:
                     return names[name]
-                if name in _CONSTANTS:
-                    return _CONSTANTS[name]
+                if name in CONSTANTS:
+                    return CONSTANTS[name]
                 raise Fault(f"{one_line(name, 60)!r} is not defined")
             case ast.List(elts=parts) | ast.Tuple(elts=parts):
                 return self._made([self._value(part, names) for part in parts])
@@ -162,9 +152,9 @@ class Evaluator:
     def _attribute(self, node: ast.Attribute, names: Names) -> Value:
         """Entry of a dict, or of a namespace, written with a dot."""
         if isinstance(node.value, ast.Name) and node.value.id in _MODULES and node.value.id not in names:
-            if node.attr not in _CONSTANTS:
+            if node.attr not in CONSTANTS:
                 raise Fault(f"{node.value.id}.{one_line(node.attr, 60)} is no number")
-            return _CONSTANTS[node.attr]
+            return CONSTANTS[node.attr]
         of = self._any(node.value, names)
         if _has_entries(of):
             if node.attr in of:
@@ -194,7 +184,7 @@ class Evaluator:
                 return self._functions[key]
             case ast.Attribute(value=of, attr=name):
                 owner = self._value(of, names)
-                method = _METHODS.get((owner.__class__, name))
+                method = METHODS.get((owner.__class__, name))
                 if method is None:
                     raise Fault(f"{_kind(owner)} has no .{one_line(name, 60)}() here")
                 return lambda *arguments: method(owner, *arguments)
@@ -204,28 +194,13 @@ class Evaluator:
                 raise Fault("only functions can be called")
 
 
-def size(value: Value) -> int:
-    """Letters and entries of a value, counted until they are too many."""
-    count, rest = 0, [value]
-    while rest and count <= MAX_SIZE:
-        each = rest.pop()
-        count += 1
-        if isinstance(each, str):
-            count += len(each)
-        elif isinstance(each, list):
-            rest += each
-        elif isinstance(each, dict):
-            rest += each.keys()
-            rest += each.values()
-    return count
-
-
 @lru_cache(maxsize=1024)
 def _parsed(expression: str) -> ast.expr:
     if len(expression) > _MAX_EXPRESSION:
         raise Fault(f"it has more than {_MAX_EXPRESSION} letters")
     try:
-        return ast.parse(expression, mode="eval").body
+        with warnings.catch_warnings(action="ignore"):
+            return ast.parse(expression, mode="eval").body
     except SyntaxError as error:
         raise Fault(one_line(error.msg, 100)) from None
 
@@ -247,14 +222,6 @@ def _numbers(*values: Value) -> None:
             raise Fault(f"{_kind(value)} is no number")
 
 
-def _values(of: dict[Value, Value]) -> list[Value]:
-    return list(of.values())
-
-
-def _get(of: dict[Value, Value], key: Value, default: Value = None) -> Value:
-    return of.get(key, default)
-
-
 def _kind(value: Value) -> str:
     return "a namespace" if _is_namespace(value) else f"a {type(value).__name__}"
 
@@ -268,83 +235,7 @@ def _is_namespace(value: Value) -> bool:
     return type(value) not in (str, list, dict) and hasattr(value, "__getitem__")
 
 
-def _range(*arguments: int) -> list[int]:
-    numbers = range(*arguments)
-    if numbers and len(numbers[:MAX_SIZE]) == MAX_SIZE:
-        raise Fault("its value is too large")
-    return list(numbers)
-
-
-def _round(value: float, digits: int | None = None) -> float:
-    if digits is not None and abs(digits) > 20:
-        raise Fault("round() takes at most 20 digits")
-    return round(value, digits)
-
-
-def _replace(text: str, old: str, new: str) -> str:
-    if (len(text) + 1) * (len(new) + 1) > MAX_SIZE:
-        raise Fault("its value is too large")
-    return text.replace(old, new)
-
-
-def _tokenize(text: str, separators: str = ",; ", skip_empty: bool = True) -> list[str]:
-    if not separators:
-        raise Fault("tokenize() needs separators")
-    return [part for part in re.split(f"[{re.escape(separators)}]", text) if part or not skip_empty]
-
-
-def _sum(values: list[float]) -> float:
-    return sum(values)
-
-
-def _sorted(values: list[Value]) -> list[Value]:
-    return sorted(values)
-
-
 _MODULES = ("math", "python", "xacro")
-_CONSTANTS: dict[str, Value] = {
-    **{name: getattr(math, name) for name in ("pi", "e", "tau", "inf", "nan")},
-    "True": True,
-    "False": False,
-}
-_FUNCTIONS: dict[str, Callable[..., Value]] = {
-    **{
-        name: getattr(math, name)
-        for name in (
-            *("acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "ceil", "copysign", "cos", "cosh", "degrees"),
-            *(
-                "exp",
-                "fabs",
-                "floor",
-                "fmod",
-                "hypot",
-                "isclose",
-                "isfinite",
-                "isinf",
-                "isnan",
-                "log",
-                "log10",
-                "log1p",
-            ),
-            *("log2", "pow", "radians", "sin", "sinh", "sqrt", "tan", "tanh", "trunc"),
-        )
-    },
-    **{each.__name__: each for each in (abs, all, any, bool, dict, float, int, len, list, max, min, str)},
-    "range": _range,
-    "round": _round,
-    "sorted": _sorted,
-    "sum": _sum,
-    "xacro.tokenize": _tokenize,
-    "xacro.dotify": dict,
-    "dotify": dict,
-}
-_METHODS: dict[tuple[type, str], Callable[..., Value]] = {
-    **{(str, name): getattr(str, name) for name in ("endswith", "lower", "split", "startswith", "strip", "upper")},
-    (str, "replace"): _replace,
-    (dict, "get"): _get,
-    (dict, "keys"): list,
-    (dict, "values"): _values,
-}
 _UNARY: dict[type[ast.unaryop], Callable[[Value], Value]] = {
     ast.Not: operator.not_,
     ast.USub: operator.neg,

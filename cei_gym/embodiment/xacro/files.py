@@ -8,7 +8,8 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from cei_gym.embodiment.resources import SCHEME, Place, read_file, within
-from cei_gym.embodiment.xacro.expressions import Evaluator, Value, size
+from cei_gym.embodiment.xacro.expressions import Evaluator
+from cei_gym.embodiment.xacro.functions import Value, size
 from cei_gym.errors import CEIError, one_line
 from cei_gym.untrusted import load_yaml
 from cei_gym.untrusted_xml import MAX_BYTES, load_xml

@@ -1,12 +1,19 @@
 """What a xacro has given names to: properties, blocks, macros and namespaces, in scopes inside each other."""
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from cei_gym.embodiment.xacro.expressions import Value
+from cei_gym.embodiment.xacro.functions import Value
 from cei_gym.errors import CEIError, one_line
+
+_MOST_PARAMETERS = 200
+_PARAMETER = re.compile(
+    r"""\s*+(?P<name>[^\s:=]++)"""
+    r"""(?:\s*+:?=\s*+(?P<forward>\^\|?)?(?P<default>(?:\$\{[^}]*\}|\$\([^)]*\)|'[^']*'|"[^"]*"|[^\s'"])*+)(?=\s|\Z))?+"""
+)
 
 
 @dataclass(frozen=True)
@@ -143,3 +150,24 @@ def truth(value: Value, text: str) -> bool:
         return bool(int(value))
     except ValueError:
         raise CEIError(f"{one_line(text, 80)!r} is {one_line(value, 60)!r}, neither true nor false") from None
+
+
+def parameters(text: str) -> tuple[list[str], dict[str, tuple[bool, str | None]]]:
+    """Names and defaults of a macro's parameters, as in `prefix *origin mass:=1 parent:=^|world`; see `Macro`.
+
+    Raises:
+        CEIError: it is no list of parameters, or a long one.
+    """
+    names: list[str] = []
+    defaults: dict[str, tuple[bool, str | None]] = {}
+    text, at = text.strip(), 0
+    while at < len(text):
+        if len(names) == _MOST_PARAMETERS:
+            raise CEIError(f"a macro has more than {_MOST_PARAMETERS} parameters")
+        if (part := _PARAMETER.match(text, at)) is None:
+            raise CEIError(f"{one_line(text[at:], 60)!r} is no parameter of a macro")
+        at = part.end()
+        names.append(part["name"])
+        if part["default"] is not None:
+            defaults[part["name"]] = (part["forward"] is not None, part["default"] or None)
+    return names, defaults
