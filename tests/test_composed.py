@@ -348,6 +348,32 @@ def test_a_folder_that_is_missing_takes_no_environments_away(tmp_path: Path, mon
     assert "CEI-PickCube-IIWA-Inspire" in gym.registry
 
 
+# -- commands ------------------------------------------------------------------------------------------------------
+
+
+def test_a_grippers_expert_demonstrates_on_any_arm_and_is_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = f"--root={tmp_path / 'own'}"
+    assert record.main(["--env=CEI-PickCube-LabArm-PandaGripper", "--episodes=1", "--repo_id=me/own", root]) == 0
+    options = ["--dataset.repo_id=me/own", f"--dataset.root={tmp_path / 'own'}", f"--json={tmp_path}/replay.json"]
+    capsys.readouterr()
+    assert replay.main([*options, "--video_episodes=0"]) == 0
+    found, printed = json.loads((tmp_path / "replay.json").read_text()), capsys.readouterr().out
+    assert found["successes"] == 1
+    assert len(found["physics"]["joints"]) == 8
+    for rule in found["physics"]["rules"]:
+        assert f"  {rule['part']}, {rule['kind']}: {rule['says']} ({rule['source']})\n" in printed
+
+
+def test_lerobot_evaluates_in_it_by_its_name() -> None:
+    (vector,) = CEIEnvConfig(task="CEI-PickCube-LabArm-LabHand").create_envs(1)["cei"].values()
+    observation, _ = vector.reset(seed=0)
+    assert observation["agent_pos"].shape == (1, len(load_embodiment("LabArm-LabHand").home))
+    vector.step(observation["agent_pos"])
+    vector.close()
+
+
 # -- from the data of one robot to physics of another -------------------------------------------------------------
 
 
