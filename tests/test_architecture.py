@@ -134,7 +134,7 @@ LAYERS = {
     ],
     "cei_converters": [
         *("signals", "start", "dataset", "cli", "simulation", "sources", "view", "inspection", "conversion"),
-        *("pads", "record", "replay", "convert", "restore", "report", "demo", "benchmark"),
+        *("pads", "record", "replay", "convert", "restore", "report", "demo", "robot", "benchmark"),
     ],
     "cei_converters.conversion": [
         *("executors", "ordered_map", "agreement", "verify", "augment", "gate", "reach", "survey", "episode", "steps"),

@@ -18,6 +18,11 @@ _HIDDEN_M = 0.004
 _COLOURS = [(230, 60, 50), (40, 120, 230), (30, 160, 80), (240, 150, 30), (150, 70, 200)]
 
 
+def pad_colour(index: int) -> tuple[int, int, int]:
+    """RGB in [0, 255] of a pad by its number."""
+    return _COLOURS[index % len(_COLOURS)]
+
+
 def draw_representation(representation: FunctionalRepresentation, qpos: Array) -> Array:
     """Views of the end-effector from three sides, pads' points as dots and normals as lines, one colour a pad.
 

@@ -1,26 +1,11 @@
 """A robot of which only one name is given: an arm, an end-effector, both, or a YAML of either."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 from cei_converters.cli.values import home_expanded
-from cei_gym.embodiment import (
-    ArmSpec,
-    Embodiment,
-    EndEffectorSpec,
-    arm_names,
-    build_embodiment,
-    embodiment_names,
-    end_effector_names,
-    load_arm,
-    load_embodiment,
-    load_end_effector,
-    load_spec,
-)
-from cei_gym.errors import CEIError, one_line, unknown
-from cei_gym.untrusted import load_yaml
+from cei_converters.robot.findings import parts_of
+from cei_gym.embodiment import ArmSpec, Embodiment, EndEffectorSpec, build_embodiment
 
 
 @dataclass(frozen=True)
@@ -37,42 +22,16 @@ class Robot:
 
 
 def open_robot(robot: str) -> Robot:
-    """Build a robot.
-
-    Args:
-        robot: name of an arm, of an end-effector, `<Arm>-<EndEffector>`, or path of a YAML (`.yaml`, `.yml`) of an arm or an
-            end-effector.
+    """Build a robot that goes by a name, or a YAML's path; see `parts_of`.
 
     Raises:
         CEIError: there is no such robot, or it cannot be built.
     """
-    if robot.lower().endswith((".yaml", ".yml")):
-        return _of_file(Path(home_expanded("--robot", robot)))
-    if robot in arm_names():
-        return Robot(build_embodiment(load_arm(robot), None))
-    if robot in end_effector_names():
-        return _with_file(build_embodiment(None, load_end_effector(robot)))
-    if robot in embodiment_names():
-        return _with_file(load_embodiment(robot))
-    raise unknown("robot", robot, [*arm_names(), *end_effector_names(), *embodiment_names()])
-
-
-def _of_file(path: Path) -> Robot:
-    try:
-        raw = load_yaml(path.read_text())
-    except FileNotFoundError:
-        raise CEIError(f"no such file: {path}.") from None
-    except (OSError, ValueError) as error:
-        raise CEIError(f"{path} cannot be read: {one_line(error)}.") from error
-    keys = cast(Mapping[str, object], raw) if isinstance(raw, Mapping) else {}
-    if "mount_body" in keys:
-        return Robot(build_embodiment(load_spec(ArmSpec, path), None))
-    if "pads" in keys:
-        return Robot(build_embodiment(None, load_spec(EndEffectorSpec, path)), path)
-    raise CEIError(f"{path} is no robot: an arm's YAML has a `mount_body`, an end-effector's has `pads`.")
-
-
-def _with_file(embodiment: Embodiment) -> Robot:
-    spec = embodiment.end_effector
-    assert spec is not None
-    return Robot(embodiment, Path(spec.folder) / f"{spec.name}.yaml")
+    file = Path(home_expanded("--robot", robot)) if robot.lower().endswith((".yaml", ".yml")) else None
+    parts = parts_of(robot if file is None else str(file))
+    arm = next((part for part in parts if isinstance(part, ArmSpec)), None)
+    end_effector = next((part for part in parts if isinstance(part, EndEffectorSpec)), None)
+    embodiment = build_embodiment(arm, end_effector)
+    if end_effector is None:
+        return Robot(embodiment)
+    return Robot(embodiment, file or Path(end_effector.folder) / f"{end_effector.name}.yaml")

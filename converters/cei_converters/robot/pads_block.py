@@ -30,7 +30,7 @@ def replace_pads(text: str, pads: Sequence[Sourced]) -> str:
         CEIError: it is no YAML with a `pads` of its own, or what is written would not read as these pads.
     """
     values = load_yaml(text)  # which bounds it, before it is read again
-    root = cast(yaml.Node | None, yaml.compose(text, Loader=yaml.SafeLoader))
+    root = cast(yaml.Node | None, cast(Any, yaml).compose(text, Loader=yaml.SafeLoader))
     pairs = cast(list[tuple[yaml.Node, yaml.Node]], root.value) if isinstance(root, yaml.MappingNode) else []
     found = next(((key, node) for key, node in pairs if key.value == "pads"), None)
     if found is None:
@@ -91,9 +91,9 @@ def _line_end(text: str) -> str:
 
 def _end(node: yaml.Node) -> int:
     """Where a node's text ends; that of a block, whose own mark is where the next one begins, with its last value."""
-    while isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
-        last = cast(Any, node.value[-1])
-        node = last[1] if isinstance(last, tuple) else last
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
+        last = cast(yaml.Node | tuple[yaml.Node, yaml.Node], node.value[-1])
+        return _end(last[1] if isinstance(last, tuple) else last)
     return cast(int, node.end_mark.index)
 
 
@@ -132,7 +132,7 @@ class _Dumper(yaml.SafeDumper):
             plain = load_yaml(name) == name
         except CEIError:
             plain = False
-        return self.represent_scalar("tag:yaml.org,2002:str", name, style=None if plain else '"')
+        return cast(Any, self).represent_scalar("tag:yaml.org,2002:str", name, style=None if plain else '"')
 
 
 _Dumper.add_representer(str, _Dumper.represent_name)
