@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import cei_gym
 from cei_converters.benchmark import command, jobs, paper
 from cei_converters.benchmark.cells import END_EFFECTORS, TABLES, TASKS, Cell, all_cells
 from cei_converters.benchmark.figures import Manifest
@@ -123,6 +124,58 @@ def test_a_cell_says_how_it_was_made(folder: Path) -> None:
     assert bms["alignment"][0]["iterations_mean"] == 0 < plain["alignment"][0]["iterations_mean"]
     assert plain["replay"]["successes"] == source["replay"]["successes"] == 1
     assert "alignment" not in source
+
+
+def test_any_robot_has_a_table_without_the_paper_and_a_stopped_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arms = tmp_path / "robots/arms"
+    arms.mkdir(parents=True)
+    known = (Path(cei_gym.__file__).parent / "embodiment/specifications/arms/Panda.yaml").read_text()
+    lines = [line for line in known.splitlines() if not line.startswith(("name:", "simulator_name"))]
+    (arms / "LabArm.yaml").write_text("\n".join(["name: LabArm", *lines]) + "\n")
+    monkeypatch.setenv("CEI_GYM_EMBODIMENTS", str(tmp_path / "robots"))
+    robot, source = "PickCube-LabArm-PandaGripper", SOURCE_CELL
+    options = ["replay", "--tasks=PickCube", "--targets=LabArm-PandaGripper", "--episodes=1", "--seed=3", "--jobs=1"]
+    assert command.main([*options, *folders(tmp_path)]) == 0
+    capsys.readouterr()
+    (tmp_path / f"results/{robot}.json").unlink()
+    assert command.main([*options, *folders(tmp_path)]) == 0
+    printed = capsys.readouterr()
+    assert [line.split(":")[0] for line in printed.err.splitlines()] == [RECORDING, robot]
+    found = json.loads((tmp_path / "results/replay.json").read_text())
+    assert (found["source"], found["seeds"]) == ("Panda-PandaGripper", [3, 3])
+    assert [f"{row['task']}-{row['embodiment']}" for row in found["rows"]] == [source, robot]
+    row, cell = found["rows"][1], cell_of(tmp_path, robot)
+    assert (row["successes"], row["episodes"], row["interval_95"]) == (1, 1, [0.207, 1.0])
+    assert row["quality_mean"] == pytest.approx(cell["alignment"][0]["quality"], abs=1e-3)
+    assert row["seconds"] == pytest.approx(sum(cell["seconds"].values()), abs=0.1)
+    assert len(cell["replay"]["physics"]["joints"]) == 8 and "stock_replay" not in cell
+    text = (tmp_path / "results/replay.md").read_text()
+    assert "| PickCube | LabArm-PandaGripper | 1 of 1 | 21% to 100% | " in text and "paper" not in text
+    manifest = Manifest.read(tmp_path / "results")
+    manifest.check()
+    assert manifest.figure("replay.json").made_of == ("*-*-*.json",)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--targets=IIWA-Inspyre",), "unknown target 'IIWA-Inspyre'. Did you mean 'IIWA-Inspire'? Valid: "),
+        (
+            ("--targets=IIWA-PandaGripper", "--tables=main"),
+            "--tables=main are the paper's, which has not all of --targets",
+        ),
+        (("--targets=IIWA-PandaGripper", "--tasks=Fly"), "unknown task 'Fly'. Valid: OpenDrawer, PickCube, StackCube"),
+        (("--targets=IIWA-PandaGripper", "--source=Me"), "unknown source 'Me'. Valid: "),
+        (("--source=IIWA-PandaGripper",), "--source=IIWA-PandaGripper is for targets that are not the paper's"),
+    ],
+)
+def test_what_is_asked_of_robots_is_checked(
+    options: tuple[str, ...], message: str, tmp_path: Path, complaint: Callable[[], str]
+) -> None:
+    assert command.main(["replay", *options, *folders(tmp_path)]) != 0
+    assert message in complaint()
 
 
 def test_joints_are_those_of_a_plain_conversion(folder: Path) -> None:

@@ -196,7 +196,7 @@ def _draw_robots(results: Results, config: ReplayBenchmarkConfig) -> None:
     listed, commits = rows(found, config.source), {str(result["commit"]) for result in found.values()}
     text = robots_markdown(listed, config.source, commits)
     seeds = [results.seeds[0], results.seeds[-1]]
-    write_json(Output(results.folder / DATA), {"source": config.source, "seeds": seeds, "rows": listed})
+    write_json(Output(results.folder / DATA, replaces=True), {"source": config.source, "seeds": seeds, "rows": listed})
     (results.folder / REPORT).write_text(text + "\n")
     command = _command(replace(config, tasks=None))
     keep_derived(results.folder, DERIVED_OF_ROBOTS, f"{command} --redraw", "*-*-*.json")
