@@ -28,6 +28,7 @@ SLOW = {
     "test_demo": 40,
     "test_envs": 40,
     "test_hub": 40,
+    "test_target_pose_auto": 40,
     "test_malformed": 40,
     "test_provenance": 40,
     "test_real_clouds": 40,

@@ -130,7 +130,7 @@ LAYERS = {
     "cei_gym.alignment.kernels": ["step", "target", "quadratic", "distance", "collision", "frame", "contact", "grasp"],
     "cei_gym.transfer": [
         *("options", "attempt", "live", "source_side", "scenes", "specified", "following", "transfer"),
-        "placing",
+        *("ground", "standing", "placing"),
     ],
     "cei_converters": [
         *("signals", "start", "dataset", "cli", "simulation", "sources", "view", "inspection", "conversion"),
@@ -150,6 +150,7 @@ LAYERS = {
             "fit",
             "quality_picture",
             "place_picture",
+            "stand",
             "workers",
         ),
         *("writing", "outcomes", "preloaded", "assemble"),

@@ -78,6 +78,11 @@ class Transfer:
             self._specified = Specified(self.problem, (first, second), self.solver_options.lambda_m)
         self._other_pads: dict[str, Transfer] = {}
 
+    def stand(self, T_world_target: Array | None) -> None:
+        """Stand the target elsewhere, before it is fitted; see `T_world_target` above."""
+        self._T_world_target = T_world_target
+        self._side = SourceSide(self.source_representation, self.contact, T_world_target)
+
     @property
     def basins(self) -> list[Basin]:
         """One basin a mode, once fitted; none with "bms"."""

@@ -13,7 +13,7 @@ from cei_converters.conversion.executors import SlurmOptions
 from cei_converters.conversion.fit import check_fit
 from cei_converters.conversion.ordered_map import in_background
 from cei_converters.conversion.origin import files_by_content, provenance_of
-from cei_converters.conversion.plan import DATASET
+from cei_converters.conversion.plan import DATASET, PLACED
 from cei_converters.conversion.reach import check_reached
 from cei_converters.dataset.provenance import fingerprint
 from cei_converters.sources import calibration, joint_map, pose
@@ -63,6 +63,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.outcomes import residuals, summarise_conversion
     from cei_converters.conversion.plan import Plan, to_begin_anew
     from cei_converters.conversion.staging import StagingDirectory
+    from cei_converters.conversion.stand import stand
     from cei_converters.conversion.survey import LOWEST, survey
     from cei_converters.conversion.workers import convert_shards, default_workers, processes_for
     from cei_converters.conversion.writing import Writing
@@ -111,7 +112,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             reader.set_table(table_z_m, LOWEST)
             config = replace(config, table_z_m=table_z_m)
             progress.console.print(about_table(table_z_m), highlight=False, soft_wrap=True)
-        progress.reset(task, description="choosing the start")
+        stand(config, place, begun, converter, progress, task)
+        progress.reset(task, total=sum(frames), description="choosing the start")
         plan = _planned(config, place, begun, converter, frames, content)
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
             return _submitted(config, place, missing)
@@ -134,6 +136,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "dropped_features": reader.dropped,
             "table": {"z_m": reader.scene.support_z_m, "said_by": reader.table_from},
             "notes": notes_on_robots(converter),
+            **({} if converter.placed is None else {PLACED: converter.placed}),
             "episodes": len(summary.entries),
             "frames": sum(entry["frames"] for entry in summary.entries),
             "results": summary.entries,
@@ -220,7 +223,7 @@ def _planned(
     """
     from cei_converters.conversion.plan import Plan, absolute
 
-    absolutely = absolute(config, converter.reader.root)
+    absolutely = absolute(replace(config, target_pose=converter.target_pose), converter.reader.root)
     if begun is not None:
         begun.check_same(provenance_of(config, converter, content()), place.folder)
         converter.start_from(begun.finalists)

@@ -8,6 +8,7 @@ from pathlib import Path
 from cei_converters.conversion.converter import Converter
 from cei_converters.conversion.episode import Outcome
 from cei_converters.conversion.outcomes import Summary, outcomes
+from cei_converters.conversion.placing import PLACE_PICTURE
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.shard import Shard
 from cei_converters.conversion.staging import StagingDirectory
@@ -39,6 +40,8 @@ def assemble(place: StagingDirectory, plan: Plan, converter: Converter, summary:
     write_summary(picture, outcomes(place, plan), plan.config.gate, converter)
     written = writing.result()
     picture.rename(written / PICTURE_PATH)
+    if (place.folder / PLACE_PICTURE).exists():
+        (place.folder / PLACE_PICTURE).rename(written / "meta" / PLACE_PICTURE)
     copy_license_files(converter.reader.root, written)
     header = Shard(place.shard(0)).header
     metadata = Metadata(

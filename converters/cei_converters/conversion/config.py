@@ -11,9 +11,13 @@ from cei_converters.conversion.executors import SlurmOptions, check_executor
 from cei_converters.conversion.gate import Gate
 from cei_converters.conversion.verify import VerifyOptions
 from cei_gym.alignment import ContactOptions, InitialisationOptions, SolverOptions
+from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, unknown
 from cei_gym.pointcloud import CloudOptions
 from cei_gym.transfer import TransferOptions
+
+AUTO = "auto"
+"""What `--target_pose` is where the pose is searched."""
 
 
 @dataclass
@@ -32,7 +36,7 @@ class ConvertConfig:
     table_z_m: float | None = None  # World, m; default: the workspace's floor, else the source's lowest point.
     drop_features: str | None = None  # What not to carry over of what it says it does, such as next.reward,next.done.
     package_path: list[Path] | None = None  # Folders to look for robots' ROS packages in, separated by colons.
-    target_pose: str | None = None  # Base pose of the target, same form; default: where the source's base is.
+    target_pose: str | None = None  # Base pose of the target, same form, or auto: searched; default: the source's.
     episodes: str | None = None  # Episodes to convert, such as 0,3,5 or 0-99; default: all.
     dry_run: bool = False  # Align and report, write no dataset.
     steps: list[str] | None = None  # Steps of installed packages, in this order, such as [paint].
@@ -62,7 +66,11 @@ class ConvertConfig:
     def __post_init__(self) -> None:
         parse_episodes(self.episodes)
         parse_pose("--source_pose", self.source_pose)
-        parse_pose("--target_pose", self.target_pose)
+        if self.target_pose == AUTO and self.transfer.method == "bms":
+            raise CEIError(
+                "--target_pose=auto judges places by how pads follow, which --transfer.method=bms does not; give a pose."
+            )
+        _ = self.T_world_target  # which is checked as it is read
         check_range("--workers", self.workers, 1)
         check_range("--shard_episodes", self.shard_episodes, 1)
         check_overwrite(self.overwrite, self.json)
@@ -80,6 +88,15 @@ class ConvertConfig:
                 "--clouds.swap=false keeps the source in the clouds, which --augment.grid cannot move; leave one out."
             )
         check_of_use(self, _idle(self))
+
+    @property
+    def T_world_target(self) -> Array | None:
+        """(4, 4) pose that is given for the target's base; None where it is the source's, or searched.
+
+        Raises:
+            CEIError: it cannot be read.
+        """
+        return None if self.target_pose == AUTO else parse_pose("--target_pose", self.target_pose, AUTO)
 
     @property
     def gate(self) -> Gate:

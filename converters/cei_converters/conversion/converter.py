@@ -1,16 +1,18 @@
 """One episode in, one converted episode out, through the steps that options ask for (`steps`)."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from cei_converters.cli.options import parse_episodes, parse_pose
 from cei_converters.conversion.agreement import check_clouds
 from cei_converters.conversion.augment import Augmentation
-from cei_converters.conversion.config import ConvertConfig
+from cei_converters.conversion.config import AUTO, ConvertConfig
 from cei_converters.conversion.episode import Converted
 from cei_converters.conversion.ordered_map import in_background, ordered_map
+from cei_converters.conversion.placing import PLACE_EPISODES, sample
 from cei_converters.conversion.steps import Encode, Judge, OnRecorded, OnRetargeted, Read, Retarget, make_steps
 from cei_converters.conversion.verify import Verifier, open_stage
 from cei_converters.dataset import schema
@@ -24,12 +26,15 @@ from cei_gym.arrays import Array
 from cei_gym.embodiment import load_embodiment, use_package_path
 from cei_gym.errors import CEIError
 from cei_gym.transfer import Transfer
+from cei_gym.transfer.placing import Placement, effort, find_place
 
 if TYPE_CHECKING:
+    from cei_converters.simulation.stage import Stage
     from cei_gym.alignment.start.basins import Basin
 
 # the frame-0 basin is chosen on this many episodes, spread over the dataset, however large it is
 FIT_EPISODES = 8
+_ELSEWHERE_M = 0.05
 
 
 class Converter:
@@ -44,7 +49,10 @@ class Converter:
         selected: episodes to convert; each as often as augmentation asks for.
         cameras: LeRobot's features of cameras whose pictures pass through; none where objects are moved, which pictures do not show.
         transfer: what moves them; to be fitted first, by `fit` or `start_from`.
-        T_world_target: (4, 4) pose of the target's base.
+        target_pose: as the option has it, of the target's base; None where the source's is. To be said first, by `stand`, where it is
+            searched.
+        placed: what is kept of that search (`placing.record`), where there was one.
+        T_world_target: (4, 4) the same.
 
     Raises:
         CEIError: bad options or data.
@@ -56,8 +64,6 @@ class Converter:
         target = in_background(lambda: load_embodiment(config.target))  # MuJoCo compiles for a second, without the GIL
         self.reader = open_reader(config)
         self.selected = self.reader.select(parse_episodes(config.episodes))
-        pose = parse_pose("--target_pose", config.target_pose)
-        self.T_world_target = self.reader.scene.T_world_base if pose is None else pose
         self.transfer = Transfer(
             self.reader.embodiment,
             target(),
@@ -66,7 +72,6 @@ class Converter:
             config.init,
             config.contact,
             config.clouds,
-            pose,
         )
         augmentation, self.cameras = None, self.reader.cameras
         if config.augment.enabled:
@@ -74,14 +79,7 @@ class Converter:
             for name, reason in with_objects_moved(self.reader.carried).items():
                 self.reader.drop([name], reason)
             self.selected = [index for index in self.selected for _ in range(len(augmentation))]
-        self.environment = _environment(self.reader, config.target, pose)
         self._opened = contextlib.ExitStack()
-        verifier = None
-        if config.verify.enabled:
-            stage = open_stage(self.reader.repo_id, self.environment, config.target, self.T_world_target)
-            self._opened.enter_context(stage)
-            verifier = Verifier(self.transfer, stage, config.verify, config.allow_unreachable)
-        self._verified = verifier is not None
         added = make_steps(config.steps or (), self.transfer)
         on_recorded = [step for step in added if isinstance(step, OnRecorded)]
         on_retargeted = [step for step in added if isinstance(step, OnRetargeted)]
@@ -94,7 +92,7 @@ class Converter:
             carried=stored and self.reader.carries,
             then=on_recorded,
         )
-        self._retarget = Retarget(self.transfer, verifier, config.init.modes, stored, on_retargeted)
+        self._retarget = Retarget(self.transfer, None, config.init.modes, stored, on_retargeted)
         self._judge = Judge(config.gate, config.allow_unreachable)
         self._encode = Encode(
             self.reader,
@@ -104,12 +102,54 @@ class Converter:
             config.allow_unreachable,
             scratch,
         )
+        self.target_pose: str | None = None
+        self.placed: dict[str, Any] | None = None
+        self.T_world_target, self.environment = self.reader.scene.T_world_base, Environment()
+        if config.target_pose != AUTO:
+            self.stand(config.target_pose)
+        elif config.verify.enabled:
+            self._check_stands_anywhere()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._opened.close()
+
+    def stand(self, target_pose: str | None) -> None:
+        """Stand the target somewhere, before `fit`.
+
+        Args:
+            target_pose: of its base, as the option has it; None where the source's base is.
+
+        Raises:
+            CEIError: it cannot be verified there.
+        """
+        pose = parse_pose("--target_pose", target_pose)
+        self.target_pose = target_pose
+        self.T_world_target = self.reader.scene.T_world_base if pose is None else pose
+        self.transfer.stand(pose)
+        self.environment = _environment(self.reader, self._config.target, pose)
+        if self._config.verify.enabled:
+            stage = self._opened.enter_context(self._open_stage(self.environment, self.T_world_target))
+            verifier = Verifier(self.transfer, stage, self._config.verify, self._config.allow_unreachable)
+            self._retarget = replace(self._retarget, verifier=verifier)
+
+    def find_place(self, begin: Callable[[int], None], done: Callable[[int], None]) -> Placement:
+        """Search where the target should stand, by frames of episodes spread over the dataset.
+
+        Args:
+            begin: called with about how many frames are to be solved.
+            done: called with how many more are.
+
+        Raises:
+            CEIError: an episode cannot be read.
+        """
+        few = self._read.changes or not self.reader.quick
+        with one_thread():
+            sampled, whole = sample(self._read, FIT_EPISODES if few else PLACE_EPISODES)
+            begin(effort(sum(map(len, sampled)), self.transfer, whole))
+            return find_place(self.transfer, sampled, whole, self._config.init.seed, done)
 
     def fit(self) -> None:
         """Choose where trajectories start, on a few episodes, whose clouds are checked first.
@@ -142,7 +182,23 @@ class Converter:
             CEIError: an episode cannot be read, or the target cannot reach it.
         """
         with one_thread():
-            yield from ordered_map(self._convert, positions, 1 if self._verified else threads)
+            yield from ordered_map(self._convert, positions, 1 if self._config.verify.enabled else threads)
+
+    def _open_stage(self, environment: Environment, T_world_target: Array) -> "Stage":
+        return open_stage(self.reader.repo_id, environment, self._config.target, T_world_target)
+
+    def _check_stands_anywhere(self) -> None:
+        """Check that simulation lets the target stand elsewhere, which only it knows, by having it stand elsewhere.
+
+        Raises:
+            CEIError: it does not.
+        """
+        elsewhere = self.reader.scene.T_world_base.copy()
+        elsewhere[0, 3] += _ELSEWHERE_M
+        try:
+            self._open_stage(_environment(self.reader, self._config.target, elsewhere), elsewhere).close()
+        except CEIError as error:
+            raise CEIError(f"--target_pose=auto with --verify: {error}") from error
 
     def _convert(self, position: int) -> Converted:
         return self._encode(self._judge(self._retarget(self._read(position))))

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from cei_converters.conversion.assumptions import notes_on_robots
 from cei_converters.conversion.config import ConvertConfig
-from cei_converters.conversion.plan import BY_CONTENT
+from cei_converters.conversion.plan import BY_CONTENT, PLACED
 from cei_converters.dataset.provenance import fingerprint
 from cei_gym import plugins
 from cei_gym.alignment import registry
@@ -46,6 +46,8 @@ def provenance_of(config: ConvertConfig, converter: "Converter", content: str) -
     options = published(config)
     del options["dataset"]  # which is the source
     options["table"] = {"z_m": reader.scene.support_z_m, "said_by": reader.table_from}
+    if converter.placed is not None:
+        options[PLACED] = converter.placed
     inputs = {
         "source embodiment": identity(reader.embodiment),
         "target embodiment": identity(converter.transfer.target),

@@ -24,9 +24,15 @@ DATASET = "dataset"
 WHERE = ("package_path",)
 """Options that say where to look for what has a fingerprint anyway."""
 
-DECIDED = ("basins", "gate", "verify.dropped", "table")
+PLACED = "placed"
+"""What provenance has of the place that `--target_pose=auto` found."""
+
+DECIDED = ("basins", "gate", "verify.dropped", "table", PLACED)
 """What provenance has among the options of a finished conversion that nobody gave; see `assemble`."""
 
+
+POSE = "target_pose"
+"""The option that says where the target's base is; a plan has what was found."""
 
 TABLE = "table_z_m"
 """The option that says where the table is; where it is not given, it is what was found."""
@@ -108,6 +114,9 @@ def check_same(begun: Provenance, wanted: Provenance, anew: str) -> None:
     if table.get("said_by") == LOWEST and now.get(TABLE) in (None, before.get(TABLE)):  # found, not given
         for options in (before, now):
             options.pop(TABLE, None)
+    if (placed := begun.options.get(PLACED)) is not None and now.get(POSE) == placed[POSE]:  # found, and given
+        for options in (before, now):
+            options.pop(POSE, None)
     for option in sorted(before.keys() | now.keys()):
         if (was := before.get(option)) != (it_is := now.get(option)):
             raise CEIError(f"--resume: --{option} was {was}, now it is {it_is}; give what was given before{anew}")

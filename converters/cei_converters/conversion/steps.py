@@ -112,13 +112,19 @@ class Read:
     carried: bool
     then: Sequence[OnRecorded]
 
-    def __call__(self, position: int, quickly: bool = False) -> Recorded:
-        """The episode at a place; `quickly` without what only its dataset needs: colours, pictures and what is carried over."""
+    @property
+    def changes(self) -> bool:
+        """Whether what is recorded is changed: objects moved, or by steps."""
+        return self.augmentation is not None or bool(self.then)
+
+    def __call__(self, position: int, quickly: bool = False, clouds: bool = True) -> Recorded:
+        """The episode at a place; `quickly` without what only its dataset needs: colours, pictures and what is carried over; without
+        `clouds` (nor depth), if nothing that comes after it may want them."""
         index = self.selected[position]
         read = Recorded(
             position,
             index,
-            self.reader.read(index, colours=not quickly),
+            self.reader.read(index, clouds=clouds or self.changes, colours=not quickly),
             pictures=self.reader.pictures(index) if self.pictures and not quickly else Pictures(),
             carried=self.reader.carry(index) if self.carried and not quickly else Carried(),
         )
