@@ -23,6 +23,7 @@ from cei_gym.embodiment import (
 )
 from cei_gym.errors import CEIError
 from cei_gym.functional import VARIANTS, directional_chamfer_distance, sample_representation
+from cei_gym.functional.picture import draw_representation
 from cei_gym.functional.representation import pad_mesh
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud.distance import square_distance
@@ -427,3 +428,19 @@ def test_pads_of_a_hand_nobody_catalogued(tmp_path: Path) -> None:
     side = np.where(representation.body == representation.body[0], 1.0, -1.0)
     np.testing.assert_allclose(representation.normals_link, side[:, None] * [0, 1, 0], atol=1e-9)
     np.testing.assert_allclose(representation.points_link[:, 1], 0.002 * side, atol=1e-9)
+
+
+@pytest.mark.parametrize("end_effector", END_EFFECTORS)
+@pytest.mark.parametrize("frames", [False, True])
+def test_the_picture_of_pads_has_all_of_the_hand(end_effector: str, frames: bool) -> None:
+    embodiment = build_embodiment(None, load_end_effector(end_effector))
+    representation = sample_representation(embodiment, 16)
+    for qpos in (embodiment.home, embodiment.closed):
+        picture = draw_representation(representation, qpos, frames).astype(int)
+        drawn = np.abs(picture - picture[0, 0]).max(axis=2) > 12
+        reach = []
+        for view in np.split(drawn, 3, axis=1):
+            assert not (view[[0, -1]].any() or view[:, [0, -1]].any())
+            rows, columns = np.nonzero(view)
+            reach.append(max(np.ptp(rows) / view.shape[0], np.ptp(columns) / view.shape[1]))
+        assert max(reach) > 0.8  # and nothing much beside it

@@ -385,4 +385,7 @@ def test_pads_draws_a_picture(end_effector: str, tmp_path: Path) -> None:
     picture = np.asarray(Image.open(output)).astype(int)
     saturation = picture.max(axis=2) - picture.min(axis=2)
     assert (saturation > 120).sum() > 200  # coloured pads on a grey hand
-    assert pads.main([f"--end_effector={end_effector}", f"--output={output}"]) == 0  # a picture can be made again
+    assert pads.main([f"--end_effector={end_effector}", f"--output={output}"]) == 1  # it is there
+    framed = [f"--end_effector={end_effector}", f"--output={output}", "--frames", "--overwrite"]
+    assert pads.main(framed) == 0
+    assert (np.asarray(Image.open(output)).astype(int) != picture).any(axis=2).sum() > 1000

@@ -1,4 +1,4 @@
-"""What commands write: results are never replaced unasked, pictures are, by their like; nothing goes where it does not belong, and nothing
+"""What commands write: results are never replaced unasked, pictures beside them are, by their like; nothing goes where it does not belong, and nothing
 is left half done."""
 
 import contextlib
@@ -22,7 +22,7 @@ from cei_converters.benchmark import command as benchmark
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types
-from cei_converters.cli.outputs import JOINT_MAP, JSON, PICTURE, RECORDING, VIDEO, Kind, Output, Outputs
+from cei_converters.cli.outputs import ASKED_PICTURE, JOINT_MAP, JSON, PICTURE, RECORDING, VIDEO, Kind, Output, Outputs
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.dataset.place import HiddenFolder, check_place, tidy
 from cei_converters.dataset.writer import DatasetWriter
@@ -84,7 +84,7 @@ FILES: dict[tuple[str, str], Kind] = {
     **{(name, "json"): JSON for name in COMMANDS},
     ("replay", "video"): VIDEO,
     ("inspect", "save_map"): JOINT_MAP,
-    ("pads", "output"): PICTURE,
+    ("pads", "output"): ASKED_PICTURE,
     ("view", "rrd"): RECORDING,
     ("view", "sheet"): PICTURE,
 }
@@ -202,12 +202,14 @@ def test_a_result_is_replaced_if_asked_for_and_only_when_it_is_whole(
     assert after.keys() == second.keys()
 
 
-def test_a_picture_is_drawn_again_in_its_place(here: Path) -> None:
+def test_a_picture_of_pads_is_drawn_again_in_its_place_if_asked_for(here: Path, capsys: pytest.CaptureFixture) -> None:
     args = ["--end_effector=PandaGripper", "--output=pads.png"]
-    (here / "pads.png").touch()  # nothing is lost
     assert pads.main([*args, "--pose=home"]) == 0
     home = np.asarray(Image.open("pads.png"))
-    assert pads.main([*args, "--pose=closed"]) == 0
+    assert pads.main([*args, "--pose=closed"]) == 1
+    assert "--output=pads.png already exists" in capsys.readouterr().err
+    assert (np.asarray(Image.open("pads.png")) == home).all()
+    assert pads.main([*args, "--pose=closed", "--overwrite"]) == 0
     assert (np.asarray(Image.open("pads.png")) != home).any()
     assert list(tree(here)) == ["pads.png"]
 

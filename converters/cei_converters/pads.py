@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cei_converters.cli import run
-from cei_converters.cli.options import check_overwrite, check_range
+from cei_converters.cli.options import check_range
 from cei_converters.cli.values import home_expanded
 from cei_gym.errors import unknown
 
@@ -19,16 +19,16 @@ class PadsConfig:
     """Draw an end-effector with its functional representation: its pads' points and outward normals."""
 
     end_effector: str  # Catalogue name, or a YAML of your own.
-    output: Path  # PNG to write; a picture that is there is replaced.
+    output: Path  # PNG to write.
     pose: str = "half"  # home, half (half closed) or closed.
     points: int = 128  # Point-normal pairs in all.
     seed: int = 0  # Of the sampling.
+    frames: bool = False  # Draw the frames of the flange, of the first link and, small, of pads' links.
     package_path: list[Path] | None = None  # Folders to look for ROS packages in, separated by colons.
     json: Path | None = None  # File for the result as JSON.
-    overwrite: bool = False  # Replace a JSON file that is there already.
+    overwrite: bool = False  # Replace files that are there already.
 
     def __post_init__(self) -> None:
-        check_overwrite(self.overwrite, self.json)
         if self.pose not in POSES:
             raise unknown("pose", self.pose, POSES)
         check_range("--points", self.points, 1, 1_000_000)
@@ -43,14 +43,14 @@ def draw(config: PadsConfig) -> None:
     """
     from PIL import Image
 
-    from cei_converters.cli.outputs import JSON, PICTURE, Outputs
+    from cei_converters.cli.outputs import ASKED_PICTURE, JSON, Outputs
     from cei_converters.cli.result import write_json
     from cei_gym.embodiment import EndEffectorSpec, build_embodiment, load_end_effector, load_spec, use_package_path
     from cei_gym.functional.picture import draw_representation
     from cei_gym.functional.representation import sample_representation
 
     outputs = Outputs(config.overwrite)
-    output, json = outputs.file("--output", config.output, PICTURE), outputs.file("--json", config.json, JSON)
+    output, json = outputs.file("--output", config.output, ASKED_PICTURE), outputs.file("--json", config.json, JSON)
     assert output is not None
     use_package_path(config.package_path)
     if config.end_effector.lower().endswith((".yaml", ".yml")):
@@ -60,7 +60,8 @@ def draw(config: PadsConfig) -> None:
         embodiment = build_embodiment(None, load_end_effector(config.end_effector))
     representation = sample_representation(embodiment, config.points, config.seed)
     share = POSES.index(config.pose) / 2
-    picture = draw_representation(representation, (1 - share) * embodiment.home + share * embodiment.closed)
+    qpos = (1 - share) * embodiment.home + share * embodiment.closed
+    picture = draw_representation(representation, qpos, config.frames)
     with output.whole() as partial:
         Image.fromarray(picture).save(partial, format="PNG")
     names = [embodiment.body_names[body].split("/")[-1] for body in representation.body]

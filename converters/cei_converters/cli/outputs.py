@@ -1,7 +1,7 @@
 """Files that commands write, by one rule.
 
-Results (JSON, joint maps) are replaced only where `--overwrite` says so. Pictures, videos and recordings can be made again, so they are
-replaced; but only by their like: whatever is there that is no plain file of that kind, nothing replaces. Folders are made where they are
+Results (JSON, joint maps, the picture of `cei-pads`) are replaced only where `--overwrite` says so. Other pictures, videos and recordings can
+be made again, so they are replaced; but only by their like: whatever is there that is no plain file of that kind, nothing replaces. Folders are made where they are
 missing. No file goes into a dataset's folder. A file appears whole or not at all, and what was there before stays until then.
 """
 
@@ -10,7 +10,7 @@ import os
 import socket
 import stat
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cei_converters import signals
@@ -47,6 +47,8 @@ class Kind:
 JSON = Kind("JSON file", begins=(b"{",))
 JOINT_MAP = Kind("YAML file", (".yaml", ".yml"))
 PICTURE = Kind("PNG picture", (".png",), (b"\x89PNG\r\n\x1a\n",), made_again=True)
+ASKED_PICTURE = replace(PICTURE, made_again=False)
+"""One that is all that a command is asked for, so that it is a result."""
 VIDEO = Kind("MP4 video", (".mp4",), (b"ftyp",), at=4, made_again=True)
 RECORDING = Kind("rerun recording", (".rrd",), (b"RRF", b"RRIO"), made_again=True)
 
