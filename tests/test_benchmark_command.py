@@ -228,7 +228,7 @@ def test_redraw_makes_the_tables_of_what_there_is(folder: Path, tmp_path: Path, 
     [
         ("--seed=4", 1, ".json was made with other settings (seeds: [3, 3], here [4, 4]); remove it or"),
         ("--tasks=PickCub", 1, "unknown task 'PickCub'. Did you mean 'PickCube'? Valid: OpenDrawer, PickCube"),
-        ("--targets=IIWA", 1, "Valid: UR5e-FourierRight, IIWA-FourierRight"),
+        ("--targets=IIWA", 1, "Valid: UR5e-FourierRight, UR5e-Inspire"),
         ("--tables=man", 1, "unknown table 'man'. Did you mean 'main'? Valid: main, ablation, sensitivity."),
         ("--tables=sensitivity --tasks=StackCube", 1, "It has: PickCube; UR5e-FourierRight."),
         ("--jobs=0", 2, "--jobs=0 should be at least 1."),
