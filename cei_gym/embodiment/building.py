@@ -110,7 +110,8 @@ def _from_model(
     lower = np.where(limited, model.jnt_range[:, 0], -CONTINUOUS_LIMIT_RAD)
     upper = np.where(limited, model.jnt_range[:, 1], CONTINUOUS_LIMIT_RAD)
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
-    for a in np.flatnonzero(on_joint & (model.actuator_biasprm[:, 1] != 0) & model.actuator_ctrllimited):
+    servos = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) & (model.actuator_biasprm[:, 1] != 0)
+    for a in np.flatnonzero(on_joint & servos & model.actuator_ctrllimited):
         # A position servo cannot be told to go past its command range.
         q = model.actuator_trnid[a, 0]
         to_joint = -model.actuator_gainprm[a, 0] / model.actuator_biasprm[a, 1] / model.actuator_gear[a, 0]

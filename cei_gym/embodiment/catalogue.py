@@ -11,10 +11,10 @@ from cei_gym.embodiment.spec import ArmSpec, EndEffectorSpec, load_spec, read_fi
 from cei_gym.errors import CEIError, unknown
 
 ARMS = ("UR5e", "IIWA", "Kinova3", "Panda")
-"""The arms that ship."""
+"""The arms of the paper's grid, which robosuite mounts and drives."""
 
 END_EFFECTORS = ("FourierRight", "Inspire", "FourierLeft", "RobotiqThreeFinger", "PandaGripper")
-"""The end-effectors that ship."""
+"""The end-effectors of the paper's grid."""
 
 FOLDERS = "CEI_GYM_EMBODIMENTS"
 """Environment variable with folders of your own embodiments, separated as in PATH; each has `arms` and `end_effectors`."""
@@ -26,13 +26,13 @@ _SHIPPED = Path(__file__).parent / "specifications"
 
 
 def arm_names() -> list[str]:
-    """List the arms that ship, then your own."""
-    return [*ARMS, *_own("arms")]
+    """List the arms that ship, those of the paper first, then your own."""
+    return [*_shipped("arms", ARMS), *_own("arms")]
 
 
 def end_effector_names() -> list[str]:
-    """List the end-effectors that ship, then your own."""
-    return [*END_EFFECTORS, *_own("end_effectors")]
+    """List the end-effectors that ship, those of the paper first, then your own."""
+    return [*_shipped("end_effectors", END_EFFECTORS), *_own("end_effectors")]
 
 
 def embodiment_names() -> list[str]:
@@ -69,8 +69,7 @@ def load_embodiment(name: str) -> Embodiment:
     Raises:
         CEIError: no such name (the message lists the valid ones), or its description is not installed.
     """
-    if name not in embodiment_names():
-        raise unknown("embodiment", name, embodiment_names())
+    check_embodiment(name)
     arm, end_effector = name.split("-")
     return build_embodiment(load_arm(arm), load_end_effector(end_effector))
 
@@ -90,6 +89,22 @@ def own_yamls(name: str) -> list[Path]:
     ]
 
 
+def check_embodiment(name: str, kind: str = "embodiment") -> None:
+    """Refuse what is no embodiment's name.
+
+    Args:
+        name: `<Arm>-<EndEffector>`.
+        kind: what it is the name of, for the message.
+
+    Raises:
+        CEIError: it is none; the message says which part of it is unknown, with the valid ones.
+    """
+    arm, _, end_effector = name.partition("-")
+    for part, own, valid in (("arm", arm, arm_names()), ("end-effector", end_effector, end_effector_names())):
+        if own not in valid:
+            raise CEIError(f"unknown {kind} {name!r}, <Arm>-<EndEffector>: {unknown(part, own, valid)}")
+
+
 def kind_of(spec: ArmSpec | EndEffectorSpec) -> str:
     """Folder of a specification's kind: "arms" or "end_effectors"."""
     return "arms" if isinstance(spec, ArmSpec) else "end_effectors"
@@ -107,6 +122,11 @@ def load_part(path: Path) -> ArmSpec | EndEffectorSpec:
             f"{path.name}: an arm has a `mount_body`, an end-effector `pads`; this has {'both' if 'pads' in fields else 'neither'}."
         )
     return load_spec(ArmSpec if "mount_body" in fields else EndEffectorSpec, path)
+
+
+@lru_cache
+def _shipped(kind: str, first: tuple[str, ...]) -> tuple[str, ...]:
+    return (*first, *sorted({path.stem for path in (_SHIPPED / kind).glob("*.yaml")} - set(first)))
 
 
 def _own(kind: str) -> list[str]:

@@ -67,8 +67,17 @@ def declared_couplings(
                 f"{_named('tendon', equality.name or equality.name1)} holds a spatial tendon, which is no coupling of joints; {_HOW}."
             )
         free = joints - given.keys()
-        if not joints & names or (len(free) < 2 and joints & given.keys()):
-            continue  # of another part, or the YAML says it otherwise
+        if not joints & names:
+            continue  # of another part
+        if len(free) < 2 and joints & given.keys():
+            # The YAML says it otherwise; but what is tied to a joint that follows another there follows along.
+            if len(free) == 1 and len(joints) == 2 and not free & couplings.keys():
+                (follower,), (leader,) = free, joints - free
+                if given[leader].joint != follower:
+                    relation = _RELATIONS[equality.type](spec, equality)
+                    if relation.weights.keys() == joints and relation.weights[follower]:
+                        couplings[follower] = relation.coupling(follower, leader)
+            continue
         relation = _RELATIONS[equality.type](spec, equality)
         if any(relation.repeats(follower, coupling) for follower, coupling in couplings.items()):
             continue

@@ -9,8 +9,11 @@ import numpy as np
 
 from cei_gym.embodiment.embodiment import Embodiment
 
-_WHERE = ("name", "description", "folder", "package_path", "xacro_args", "servo", "self_contact")
+_WHERE = ("name", "description", "folder", "package_path", "xacro_args", "servo", "self_contact", "remark")
 """Of a specification: what it is called, where files are whose content is in the model, and what a simulation alone knows."""
+
+_SHOWN = {"arm": ("mount_pos_m", "mount_quat_wxyz", "until_body"), "end_effector": ("joints",)}
+"""What came later and the model shows anyway, so that robots without it are what they were."""
 
 
 def fingerprint(embodiment: Embodiment) -> str:
@@ -30,7 +33,9 @@ def fingerprint(embodiment: Embodiment) -> str:
         known.pop(name)
     for name in ("arm", "end_effector"):
         part = known.pop(name)
-        known[name] = None if part is None else {k: v for k, v in asdict(part).items() if k not in _WHERE}
+        known[name] = (
+            None if part is None else {k: v for k, v in asdict(part).items() if k not in (*_WHERE, *_SHOWN[name])}
+        )
     digest.update(json.dumps(known | asdict(embodiment.coupled), sort_keys=True, default=_plain).encode())
     return f"sha256:{digest.hexdigest()}"
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from cei_gym.alignment.judge.clearance import Clearance
+from cei_gym.alignment.judge.clearance import STAND, Clearance
 from cei_gym.arrays import Array
 from cei_gym.embodiment import ArmSpec, Embodiment, build_embodiment
 from cei_gym.embodiment.meshes import geom_vertices
@@ -69,7 +69,7 @@ def guess_arm(spec: ArmSpec, folder: Path, T_mount_flange: Array | None = None) 
     if not reached:
         unsure["home"] = "no pose was found whose flange points down in front of it; this is the nearest"
     names = [embodiment.joint_names[q] for q in embodiment.coupled.independent]
-    spec = replace(spec, home={name: value for name, value in zip(names, u, strict=True)})
+    spec = replace(spec, home=dict(zip(names, u, strict=True)))
     return ArmGuess(spec, build_embodiment(spec, None, folder), reach, unsure)
 
 
@@ -137,6 +137,12 @@ def _shoulder(tree: KinematicTree, mount: int) -> int:
     return int(np.searchsorted(tree.arrays.joint_start, second, side="right")) - 1
 
 
+def in_itself(clearance: Clearance, qpos: Array) -> tuple[float, tuple[str, ...]]:
+    """How deep links of an arm are in each other, m, and which; where it will stand is not known."""
+    found = clearance.penetration(qpos[None], _NOWHERE_M)
+    return (0.0, ()) if STAND in found.between[0] else (float(found.depth_m[0]), found.between[0])
+
+
 def _home(
     embodiment: Embodiment, tree: KinematicTree, mount: int, T_mount_flange: Array, reach_m: float
 ) -> tuple[list[float], bool]:
@@ -164,7 +170,7 @@ def _home(
     for start in rng.uniform(low, high, size=(_STARTS, len(low))):
         found = least_squares(residual, np.clip(start, low + 1e-6, high - 1e-6), bounds=(low, high), max_nfev=60)
         error = residual(found.x)
-        inside = clearance.penetration(embodiment.coupled.expand(found.x)[None], _NOWHERE_M).depth_m[0]
+        inside = in_itself(clearance, embodiment.coupled.expand(found.x))[0]
         T = tree.forward(embodiment.coupled.expand(found.x))
         lowest = float(T[tree.arrays.body_joint >= 1, 2, 3].min())
         margin = float((np.minimum(found.x - low, high - found.x) / span).min())

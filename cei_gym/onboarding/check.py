@@ -16,7 +16,7 @@ from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError
 from cei_gym.functional.representation import FunctionalRepresentation, sample_representation
 from cei_gym.kinematics import KinematicTree
-from cei_gym.onboarding.arm import flange
+from cei_gym.onboarding.arm import flange, in_itself
 
 _POINTS = 128
 _POSES = 21
@@ -101,19 +101,17 @@ def _of_arm(spec: ArmSpec, arm: Embodiment) -> Iterator[Finding]:
         given = Rotation.from_quat(spec.mount_quat_wxyz, scalar_first=True).as_matrix()
     found, said = flange(arm, tree, mount)
     cosine = float(given[:, 2] @ found[:3, 2])
-    if said and not spec.mount_quat_wxyz or cosine < -_FACING:
+    if (said and not spec.mount_quat_wxyz) or cosine < -_FACING:
         quat = Rotation.from_matrix(found[:3, :3]).as_quat(scalar_first=True).round(4).tolist()
         backwards = "points backwards, into the arm" if cosine < -_FACING else "does not point out of the arm"
         yield Finding(
             cosine < -_FACING,
             f"the flange's z {backwards} along its last joint; an end-effector would be mounted so. `mount_quat_wxyz: {quat}` would be right.",
         )
-    inside = Clearance(arm).penetration(arm.home[None], -1e3)
-    if inside.depth_m[0] > _DEEP_M:
-        name, other = inside.between[0]
-        yield Finding(
-            True, f"at home {name!r} is {1e3 * inside.depth_m[0]:.0f} mm deep in {other!r}; choose another `home`."
-        )
+    depth_m, between = in_itself(Clearance(arm), arm.home)
+    if depth_m > _DEEP_M:
+        name, other = between
+        yield Finding(True, f"at home {name!r} is {1e3 * depth_m:.0f} mm deep in {other!r}; choose another `home`.")
     independent = arm.coupled.independent
     if len(independent) < _SIX:
         yield Finding(

@@ -18,6 +18,7 @@ _GRASP_M, _SPREAD_M = 0.04, 0.02  # the widths of objects that surfaces should f
 _WIDE_M, _WIDER_M, _SHUT_M = 0.08, 0.12, -0.002
 _SAME_FINGER_M = 0.008
 _BESIDE_M = 0.01  # of the way that a surface faces
+_FOREMOST_M = 0.006
 _ROOM = 0.6  # of the most room between jaws, of what holds an object
 _MARGIN = 0.05  # of a joint's range that is kept to its limits
 _ROUNDS, _RESTARTS = 200, 2
@@ -172,6 +173,12 @@ class Judge:
             towards = -_unit(np.mean(moving, axis=0)) if still else start
             cosine = np.einsum("bpi,bpi->bp", normals[:, 0], np.broadcast_to(towards, normals[:, 0].shape))
             weights.append(np.clip((cosine - _LEAST_COSINE) / (_GOOD_COSINE - _LEAST_COSINE), 0, 1))
+        if self._together:
+            # Of a gripper's finger, what is foremost: not the carriage behind it.
+            for i, ((points, _), start) in enumerate(zip(placed, starts, strict=True)):
+                depth = np.einsum("bpi,bi->bp", points[:, 0], _unit(start.mean(axis=1)))
+                front = np.where(weights[i] > 0.3, depth, -np.inf).max(axis=1, keepdims=True)
+                weights[i] = weights[i] * (depth > front - _FOREMOST_M)
         if self._still.any():
             weights = self._opposing(placed, weights)
         return weights

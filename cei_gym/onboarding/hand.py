@@ -122,28 +122,30 @@ def _inside(pose: Array, lower: Array, upper: Array) -> list[float]:
 
 def _mirrored(embodiment: Embodiment, tree: KinematicTree, fingers: list[Finger]) -> dict[str, Coupling] | None:
     """A coupling of the two joints of a gripper whose fingers have one each, alike."""
-    if len(embodiment.coupled.independent) != 2 or len(fingers) != 2 or any(len(f.joints) != 1 for f in fingers):
+    moved = {finger.joints for finger in fingers}
+    if len(embodiment.coupled.independent) != 2 or moved != {(0,), (1,)}:
         return None
-    one, two = (f.joints[0] for f in fingers)
     lower, upper = embodiment.independent_limits
-    if one == two or not np.isclose(upper[one] - lower[one], upper[two] - lower[two], rtol=0.05):
-        return None
-    scale = 1.0 if np.isclose(upper[one], upper[two], atol=0.05 * (upper[one] - lower[one])) else -1.0
-    u = embodiment.coupled.reduce(embodiment.home)
-    rest = embodiment.home
-    both = []
-    for sign in (scale, -scale) if np.isclose(upper[one], -lower[one]) else (scale,):
-        moved = rest.copy()
-        step = 0.05 * (upper[one] - lower[one])
-        q1, q2 = embodiment.coupled.independent[[one, two]]
-        moved[q1], moved[q2] = u[one] + step, u[two] + sign * step
-        T = tree.forward(np.stack([rest, moved]))
-        ways = [T[1, f.body, :3, 3] - T[0, f.body, :3, 3] for f in fingers]
-        both.append((float(np.dot(*ways)), sign))
-    scale = min(both)[1]
+    span = upper - lower
+    if not np.isclose(*span, rtol=0.05):
+        # Limits of one that its description leaves wide do not tell.
+        span = np.repeat(span.min(), 2)
+    fingers = [next(finger for finger in fingers if finger.joints == (u,)) for u in (0, 1)]
+    rest = embodiment.coupled.reduce(embodiment.home)
+    ways = []
+    for sign in (1.0, -1.0):
+        u = np.stack([rest, rest + 0.05 * span * [1.0, sign]])
+        T = tree.forward(embodiment.coupled.expand(u))
+        moves = [T[1, f.body] @ _tip(f) - T[0, f.body] @ _tip(f) for f in fingers]
+        ways.append((float(np.dot(moves[0][:3], moves[1][:3])), sign))
+    scale = min(ways)[1]  # fingers that close go towards each other
     names = [embodiment.joint_names[q] for q in embodiment.coupled.independent]
-    offset = upper[two] - scale * upper[one] if scale > 0 else lower[two] + upper[one]
-    return {names[two]: Coupling(names[one], scale, _round(offset))}
+    offset = lower[1] - lower[0] if scale > 0 else upper[1] + lower[0]
+    return {names[1]: Coupling(names[0], scale, _round(offset))}
+
+
+def _tip(finger: Finger) -> Array:
+    return np.append(finger.points_link.mean(axis=0), 1.0)
 
 
 def _closing(embodiment: Embodiment, tree: KinematicTree, groups: list[list[Finger]]) -> Closing:
@@ -334,8 +336,8 @@ def _pads(spec: EndEffectorSpec, embodiment: Embodiment, tree: KinematicTree, cl
     for side in closing.sides:
         for finger in side:
             weight = closing.weights[closing.fingers.index(finger)]
-            hinged = not all(f.joints for f in closing.fingers)
-            extent = _extent(embodiment, finger, weight) if hinged else [0.0, 1.0]
+            jaws = len(closing.fingers) == 2 and len({f.joints for f in closing.fingers if f.joints}) == 1
+            extent = _extent(embodiment, finger, weight) if jaws else [0.0, 1.0]
             pad = Pad(body=finger.link, share=most / len(side), extent=extent)
             normal = (weight[:, None] * finger.normals_link).sum(axis=0)
             normal /= np.linalg.norm(normal)
@@ -360,7 +362,7 @@ def _extent(embodiment: Embodiment, finger: Finger, weight: Array) -> list[float
         along, points = -along, -points
     ends = (np.quantile(points, [0.02, 0.98]) - along.min()) / np.ptp(along)
     start, end = np.clip(np.round(ends, 2), 0, 1)
-    end = 1.0 if end > _NEAR_TIP else end
+    start, end = 0.0 if start < 1 - _NEAR_TIP and finger.joints else start, 1.0 if end > _NEAR_TIP else end
     return [float(start), float(end)] if end > start else [0.0, 1.0]
 
 

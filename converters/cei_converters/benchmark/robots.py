@@ -6,7 +6,7 @@ from typing import Any
 from cei_converters.benchmark.cells import TARGETS, TASKS, Cell, own_tasks
 from cei_converters.benchmark.marks import mark_of
 from cei_converters.benchmark.results import Results
-from cei_gym.embodiment import embodiment_names, load_embodiment
+from cei_gym.embodiment import check_embodiment, load_embodiment
 from cei_gym.errors import unknown
 
 type Found = Mapping[Cell, Mapping[str, Any]]
@@ -25,8 +25,7 @@ def beyond_the_paper(targets: str | None) -> list[str]:
     if all(name in TARGETS for name in names):
         return []
     for name in names:
-        if name not in (valid := embodiment_names()):
-            raise unknown("target", name, valid)
+        check_embodiment(name, "target")
         load_embodiment(name)
     return list(dict.fromkeys(names))
 
@@ -116,5 +115,4 @@ def check_source(source: str) -> None:
     Raises:
         CEIError: there is no such embodiment.
     """
-    if source not in (valid := embodiment_names()):
-        raise unknown("source", source, valid)
+    check_embodiment(source, "source")

@@ -147,11 +147,11 @@ def check_options(config: ConvertConfig) -> None:
         CEIError: an embodiment, an executor, a login is missing.
     """
     from cei_converters.dataset.hub import check_destination, check_repo_id
-    from cei_gym.embodiment import embodiment_names
+    from cei_gym.embodiment import check_embodiment
 
     for name in (config.target, config.source):
-        if name is not None and name not in embodiment_names():
-            raise unknown("embodiment", name, embodiment_names())
+        if name is not None:
+            check_embodiment(name)
     if config.steps:
         from cei_converters.conversion.steps import check_steps
 

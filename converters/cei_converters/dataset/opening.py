@@ -13,8 +13,15 @@ from cei_converters.dataset.hidden import visible
 from cei_converters.dataset.info import check_episodes, check_info
 from cei_converters.dataset.locate import INFO_PATH, read_info
 from cei_converters.dataset.metadata import METADATA_PATH, REQUIRED, Metadata, restore_with
-from cei_gym.embodiment import Embodiment, embodiment_names, load_embodiment
-from cei_gym.errors import CEIError, one_line, unknown
+from cei_gym.embodiment import (
+    Embodiment,
+    arm_names,
+    check_embodiment,
+    embodiment_names,
+    end_effector_names,
+    load_embodiment,
+)
+from cei_gym.errors import CEIError, one_line
 
 
 def find_metadata(root: Path) -> Metadata | None:
@@ -50,7 +57,7 @@ def load_metadata(root: Path, embodiment: str | None) -> Metadata | None:
     if metadata is None and embodiment is None:
         raise CEIError(
             f"{root} has no {METADATA_PATH}; it needs {REQUIRED}. "
-            f"Without it, name the robot with --source=<one of {', '.join(embodiment_names())}>, and calibrate depth "
+            f"Without it, name the robot with --source=<Arm>-<EndEffector>, of {', '.join(arm_names())}, and of {', '.join(end_effector_names())}, and calibrate depth "
             "cameras, if there are any, with --calibration=FILE.yaml."
             + (f" {restore_with(root)}" if read_info(root).get("robot_type") in embodiment_names() else "")
         )
@@ -72,8 +79,8 @@ def choose_embodiment(root: Path, metadata: Metadata | None, given: str | None) 
         CEIError: it is unknown, or the two differ.
     """
     for name in (given, metadata.embodiment if metadata is not None else None):
-        if name is not None and name not in embodiment_names():
-            raise unknown("embodiment", name, embodiment_names())
+        if name is not None:
+            check_embodiment(name)
     if metadata is not None and given is not None and given != metadata.embodiment:
         raise CEIError(f"{root} is a dataset of {metadata.embodiment}, not of {given}; leave --source out.")
     name = metadata.embodiment if metadata is not None else given

@@ -47,11 +47,11 @@ def _arm(name: str) -> dict[str, object]:
     from cei_gym.embodiment import build_embodiment, load_arm
     from cei_gym.onboarding.arm import reach_m
 
+    spec = load_arm(name)
     try:
-        spec = load_arm(name)
         arm = build_embodiment(spec, None)
     except CEIError as error:
-        return {"name": name, "joints": None, "reach_m": None, "remark": f"not here: {error}"}
+        return {"name": name, "joints": None, "reach_m": None, "remark": f"{spec.remark}; not here: {error}"}
     return {"name": name, "joints": len(arm.coupled.independent), "reach_m": reach_m(arm), "remark": spec.remark}
 
 
@@ -62,12 +62,18 @@ def _hand(name: str) -> dict[str, object]:
     from cei_gym.kinematics import KinematicTree
     from cei_gym.onboarding.check import pad_gap_m
 
+    spec = load_end_effector(name)
     try:
-        spec = load_end_effector(name)
         hand = build_embodiment(None, spec)
         representation = sample_representation(hand)
     except CEIError as error:
-        return {"name": name, "motors": None, "pads": None, "opens_mm": None, "remark": f"not here: {error}"}
+        return {
+            "name": name,
+            "motors": None,
+            "pads": None,
+            "opens_mm": None,
+            "remark": f"{spec.remark}; not here: {error}",
+        }
     sides = opposing_sides(representation, KinematicTree(hand))
     opens = None if sides is None else round(1e3 * float(pad_gap_m(representation, sides).max()))
     return {
