@@ -17,6 +17,7 @@ SLOW = {
     "test_bad_input": 60,
     "test_edited": 60,
     "test_extras": 60,
+    "test_robot_show": 60,
     "test_lerobot_scripts": 60,
     "test_signals": 60,
     "test_augmentation": 54,

@@ -187,7 +187,7 @@ def test_what_is_missing_goes_by_its_own_name_where_the_rest_is_there() -> None:
     assert done.stderr == 'error: cei-convert needs h5py: pip install "cei-gym[lerobot]".\n'
 
 
-@pytest.mark.parametrize("name", sorted({*SCRIPTS} - {"cei-pads"}))
+@pytest.mark.parametrize("name", sorted({*SCRIPTS} - {"cei-pads", "cei-robot"}))
 def test_commands_without_lerobot(name: str) -> None:
     done = without(EXTRAS["lerobot"].modules, command(name))
     extra = "view" if name == "cei-view" else "lerobot"

@@ -350,6 +350,14 @@ def test_bad_options_are_one_line_each(tmp_path: Path, capsys: pytest.CaptureFix
     assert list(tmp_path.iterdir()) == []
 
 
+def test_without_viser_it_says_how_to_install_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr("cei_gym.extras.installed", lambda module: module != "viser")
+    assert command.main(["show", "Panda"]) == 1
+    assert capsys.readouterr().err == 'error: cei-robot show needs viser: pip install "cei-gym[show]".\n'
+
+
 # -- the page ------------------------------------------------------------------------------------------------------
 
 
