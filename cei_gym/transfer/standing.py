@@ -44,7 +44,7 @@ _MARGIN = 0.05  # share of its range that is enough
 _QUALITY_WEIGHT_M = 0.02  # of cost for a followed demonstration of no quality
 _AMONG_WEIGHT = 1.0  # metres of cost a metre that the base stands among what the hand works on
 _AWAY_WEIGHT_M = 0.005  # of cost for each: a reach away from where the source stands, and half a turn; of equals the nearest is taken
-_SAME_HEIGHT_M = 0.02
+_SAME_HEIGHT_M = 0.05
 
 
 @dataclass(frozen=True)
