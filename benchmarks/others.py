@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from cei_gym.alignment import AlignmentProblem
-from cei_gym.embodiment import Embodiment, embodiment_names, load_embodiment
+from cei_gym.embodiment import GRID, Embodiment, load_embodiment
 from cei_gym.functional.distance import DEFAULT_DIRECTION_WEIGHT_M, pair_cost
 from cei_gym.functional.representation import sample_representation
 from cei_gym.kinematics.tree import KinematicTree
@@ -249,7 +249,7 @@ def _pinocchio_robot(embodiment: Embodiment, body: np.ndarray, points_link: np.n
 
 def main() -> None:
     libraries, rng = available(), np.random.default_rng(0)
-    for name in embodiment_names():
+    for name in GRID:
         embodiment = load_embodiment(name)
         representation, tree = sample_representation(embodiment), KinematicTree(embodiment)
         body, points_link = representation.body, representation.points_link

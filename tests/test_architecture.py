@@ -102,7 +102,23 @@ LAYERS = {
         *("errors", "arrays", "compiled", "extras", "plugins", "untrusted", "untrusted_xml", "absent", "channels"),
         *("displacement", "demonstration"),
         *("embodiment", "rendering", "environment", "kinematics", "functional", "pointcloud", "alignment"),
-        *("augmentation", "transfer", "impersonation", "wrapper"),
+        *("augmentation", "transfer", "impersonation", "wrapper", "onboarding"),
+    ],
+    "cei_gym.onboarding": [
+        *(
+            "structure",
+            "digits",
+            "fingers",
+            "closing",
+            "search",
+            "sides",
+            "mounting",
+            "padding",
+            "hand",
+            "arm",
+            "propose",
+        ),
+        *("writing", "check"),
     ],
     "cei_gym.embodiment": [
         *(

@@ -16,13 +16,15 @@ from cei_envs.mounted import MountedSimulation as Simulation
 from cei_gym.embodiment import (
     ARMS,
     END_EFFECTORS,
+    GRID,
     ArmSpec,
     Coupling,
     Embodiment,
     EndEffectorSpec,
     Pad,
+    arm_names,
     build_embodiment,
-    embodiment_names,
+    end_effector_names,
     load_arm,
     load_embodiment,
     load_end_effector,
@@ -101,7 +103,7 @@ def write_arm(path: Path, geometry: str = BOX) -> ArmSpec:
 # -- kinematics ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", embodiment_names())
+@pytest.mark.parametrize("name", GRID)
 def test_link_poses_agree_with_mujoco_and_pytorch_kinematics(name: str) -> None:
     embodiment = load_embodiment(name)
     qpos = random_qpos(embodiment, 4)
@@ -519,7 +521,7 @@ def test_ag95_fingers_close_symmetrically_and_stay_parallel() -> None:
 @pytest.mark.parametrize(
     ("load", "close", "valid"),
     [
-        (load_embodiment, "UR5e-Inspir", "UR5e-Inspire"),
+        (load_embodiment, "UR5e-Inspir", "Inspire"),
         (load_arm, "Pandas", "Panda"),
         (load_end_effector, "inspire", "Inspire"),
     ],
@@ -529,7 +531,9 @@ def test_unknown_names_list_the_valid_ones(load, close: str, valid: str) -> None
         load(close)
     message = one_line(error)
     assert f"Did you mean {valid!r}?" in message
-    names = {load_embodiment: embodiment_names(), load_arm: ARMS, load_end_effector: END_EFFECTORS}[load]
+    names = {load_embodiment: end_effector_names(), load_arm: arm_names(), load_end_effector: end_effector_names()}[
+        load
+    ]
     assert all(name in message for name in names)
 
 

@@ -24,7 +24,7 @@ from cei_envs import teleoperation
 from cei_envs.environment import CEIEnv
 from cei_envs.experts.plan import grip_pose
 from cei_envs.teleoperation import LEASH_M, STEP_M, Teleoperator
-from cei_gym.embodiment import embodiment_names, load_embodiment
+from cei_gym.embodiment import GRID, load_embodiment
 from cei_gym.errors import CEIError
 
 PANDA, INSPIRE = "CEI-PickCube-Panda-PandaGripper", "CEI-PickCube-IIWA-Inspire"
@@ -270,7 +270,7 @@ def test_targets_do_not_run_away_from_an_arm_that_the_table_holds_back(person: P
     assert (env.simulation.T_world_base[2, 3] + held) > 0.79
 
 
-@pytest.mark.parametrize("name", [name for name in embodiment_names() if name.startswith("Kinova3-")])
+@pytest.mark.parametrize("name", [name for name in GRID if name.startswith("Kinova3-")])
 def test_every_hand_has_a_grip_site_that_only_the_arm_moves(name: str) -> None:
     body = load_embodiment(name)
     qpos = np.array(body.home)

@@ -4,6 +4,7 @@ from cei_gym.embodiment.building import build_embodiment, describe
 from cei_gym.embodiment.catalogue import (
     ARMS,
     END_EFFECTORS,
+    GRID,
     arm_names,
     check_embodiment,
     embodiment_names,
@@ -21,6 +22,7 @@ from cei_gym.embodiment.spec import ArmSpec, Coupling, EndEffectorSpec, Pad, Phy
 __all__ = [
     "ARMS",
     "END_EFFECTORS",
+    "GRID",
     "ArmSpec",
     "Coupled",
     "Coupling",

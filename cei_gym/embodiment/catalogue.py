@@ -16,6 +16,9 @@ ARMS = ("UR5e", "IIWA", "Kinova3", "Panda")
 END_EFFECTORS = ("FourierRight", "Inspire", "FourierLeft", "RobotiqThreeFinger", "PandaGripper")
 """The end-effectors of the paper's grid."""
 
+GRID = tuple(f"{arm}-{end_effector}" for arm in ARMS for end_effector in END_EFFECTORS)
+"""All pairs of these."""
+
 FOLDERS = "CEI_GYM_EMBODIMENTS"
 """Environment variable with folders of your own embodiments, separated as in PATH; each has `arms` and `end_effectors`."""
 

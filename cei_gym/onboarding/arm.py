@@ -12,6 +12,7 @@ from cei_gym.arrays import Array
 from cei_gym.embodiment import ArmSpec, Embodiment, build_embodiment
 from cei_gym.embodiment.meshes import geom_vertices
 from cei_gym.kinematics import KinematicTree
+from cei_gym.onboarding.digits import rounded
 
 _FRONT, _MOST_FRONT_M = 0.55, 0.5  # of the arm's reach, at most: how far in front the flange rests
 _ABOVE, _MOST_ABOVE_M = 0.35, 0.3  # likewise above what it stands on
@@ -20,7 +21,6 @@ _NOWHERE_M = -1e3  # no support
 _STARTS, _POSES = 40, 2000
 _MARGIN = 0.05  # of a joint's range that is kept to its limits
 _OUTWARD = np.cos(np.radians(20))
-_DIGITS = 3
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def guess_arm(spec: ArmSpec, folder: Path, T_mount_flange: Array | None = None) 
             unsure["mount_quat_wxyz"] = said
     if not np.allclose(T_mount_flange, np.eye(4)):
         quat = Rotation.from_matrix(T_mount_flange[:3, :3]).as_quat(scalar_first=True)
-        position = [_round(x) for x in T_mount_flange[:3, 3]]
+        position = [rounded(x) for x in T_mount_flange[:3, 3]]
         spec = replace(spec, mount_pos_m=position, mount_quat_wxyz=[round(float(x), 6) + 0.0 for x in quat])
     reach = reach_m(embodiment)
     u, reached = _home(embodiment, tree, mount, T_mount_flange, reach)
@@ -71,10 +71,6 @@ def guess_arm(spec: ArmSpec, folder: Path, T_mount_flange: Array | None = None) 
     names = [embodiment.joint_names[q] for q in embodiment.coupled.independent]
     spec = replace(spec, home=dict(zip(names, u, strict=True)))
     return ArmGuess(spec, build_embodiment(spec, None, folder), reach, unsure)
-
-
-def _round(value: float) -> float:
-    return round(float(value), _DIGITS) + 0.0
 
 
 def flange(embodiment: Embodiment, tree: KinematicTree, mount: int) -> tuple[Array, str]:
@@ -184,4 +180,4 @@ def _home(
             best = cost, found.x, float(np.abs(error[:6]).max())
     assert best is not None
     _, u, off = best
-    return [_round(value) for value in u], off < 0.5
+    return [rounded(value) for value in u], off < 0.5

@@ -1,28 +1,26 @@
-"""How an end-effector closes: from where to where its joints go so that finger surfaces that face each other meet."""
+"""Ways that an end-effector may close: how squarely finger surfaces face each other on the way, how far they part, whether they meet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from cmaes import CMA
 
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.kinematics import KinematicTree
 from cei_gym.onboarding.fingers import Finger
 
-_POSES = 9  # from open to closed
+POSES = 9
+"""From open to closed, at which ways to close are looked at."""
+
 _STEP = 1e-3  # of the way, for the direction in which surfaces set out
 _LEAST_COSINE, _GOOD_COSINE = 0.6, 0.9  # between a normal and that direction, of what is palm side
 _GRASP_M, _SPREAD_M = 0.04, 0.02  # the widths of objects that surfaces should face each other at
-_WIDE_M, _WIDER_M, _SHUT_M = 0.08, 0.12, -0.002
+_WIDE_M, WIDER_M, SHUT_M = 0.08, 0.12, -0.002
 _SAME_FINGER_M = 0.008
 _BESIDE_M = 0.01  # of the way that a surface faces
 _FOREMOST_M = 0.006
 _ROOM = 0.6  # of the most room between jaws, of what holds an object
-_MARGIN = 0.05  # of a joint's range that is kept to its limits
-_ROUNDS, _RESTARTS = 200, 2
-_GOOD = 0.3  # a cost that no other beginning need be tried for
 
 
 @dataclass(frozen=True)
@@ -96,15 +94,15 @@ class Judge:
         cost, gap, facing, axis, middle, weights, at = self._judge(home[None], closed[None])
         t = int(at[0])
         return Closing(
-            self._sides, home, closed, float(cost[0]), gap[0], float(facing[0, t]), axis[0, t], middle[0, t], t / (_POSES - 1),
+            self._sides, home, closed, float(cost[0]), gap[0], float(facing[0, t]), axis[0, t], middle[0, t], t / (POSES - 1),
             tuple(weight[0] for weight in weights),
         )  # fmt: skip
 
     def _judge(self, home: Array, closed: Array):
-        share = np.append(np.linspace(0, 1, _POSES), _STEP)[None, :, None]
+        share = np.append(np.linspace(0, 1, POSES), _STEP)[None, :, None]
         u = (1 - share) * home[:, None] + share * closed[:, None]
         T_links = self._tree.forward(self._embodiment.coupled.expand(u.reshape(-1, u.shape[-1])))
-        T_links = T_links.reshape(len(home), _POSES + 1, *T_links.shape[1:])
+        T_links = T_links.reshape(len(home), POSES + 1, *T_links.shape[1:])
         placed = [_place(T_links[:, :, finger.body], finger) for finger in self._fingers]
         weights = self._palm_sides(placed)
         centre = np.stack([_mean(w, p[:, :-1]) for (p, _), w in zip(placed, weights, strict=True)], axis=2)
@@ -142,9 +140,9 @@ class Judge:
             4 * (weight * (1 - facing)).sum(axis=1)
             + 2 * (weight * (1 - parallel).mean(axis=2)).sum(axis=1)
             + 0.5 * (weight * np.minimum(uneven, 10)).sum(axis=1)
-            + np.minimum(np.square((gap[:, -1] - _SHUT_M) / 0.01), 9)
+            + np.minimum(np.square((gap[:, -1] - SHUT_M) / 0.01), 9)
             + np.minimum(np.square(np.maximum(0, _WIDE_M - gap[:, 0]) / 0.03), 9)
-            + np.minimum(np.square(np.maximum(0, gap[:, 0] - _WIDER_M) / 0.05), 4)
+            + np.minimum(np.square(np.maximum(0, gap[:, 0] - WIDER_M) / 0.05), 4)
             + 2 * lacking
             + 2 * lengthwise
             + 0.05 * np.square((closed - home) / self._range).sum(axis=1)
@@ -164,7 +162,7 @@ class Judge:
             starts = [s - mean[1 - i] for i, s in enumerate(starts)]
         starts = [_unit(start) for start in starts]
         # What stands still is met by what arrives.
-        last = [p[:, _POSES - 1] - p[:, _POSES - 2] for p, _ in placed]
+        last = [p[:, POSES - 1] - p[:, POSES - 2] for p, _ in placed]
         moving = [
             _unit(way.mean(axis=1, keepdims=True)) for way, still in zip(last, self._still, strict=True) if not still
         ]
@@ -220,78 +218,6 @@ class Judge:
         ).min(axis=1)
         palm = (self._palm @ ahead.T).max(axis=0)
         return np.minimum(np.square(np.maximum(0, palm - tips + 0.01) / 0.02), 9)
-
-
-def design(
-    judge: Judge, embodiment: Embodiment, rest: Array, active: Array, rounds: int = _ROUNDS, seed: int = 0
-) -> Closing:
-    """Find a way to close.
-
-    Args:
-        judge: of the sides that should meet.
-        embodiment: an end-effector.
-        rest: (m,) where the joints stay that are not active.
-        active: indices of independent joints that may move.
-        rounds: of the search, at most.
-        seed: of the search.
-    """
-    lower, upper = embodiment.independent_limits
-    low, span = lower[active], upper[active] - lower[active]
-
-    def poses(x: Array) -> tuple[Array, Array]:
-        both = np.repeat(rest[None, None], 2, axis=0).repeat(len(x), axis=1)
-        both[:, :, active] = low + span * np.moveaxis(x.reshape(len(x), 2, len(active)), 1, 0)
-        return both[0], both[1]
-
-    bounds = np.tile([_MARGIN, 1 - _MARGIN], (2 * len(active), 1))
-    flexed = np.where(upper[active] + lower[active] >= 0, 1.0, 0.0)
-    best, least = None, np.inf
-    for restart in range(_RESTARTS):
-        rng = np.random.default_rng([seed, restart])
-        # Open is about 0, and closing goes where there is more room.
-        home = np.clip(-low / np.maximum(span, 1e-9), 0.1, 0.9)
-        mean = np.concatenate([home, home + 0.5 * (flexed - home)]) + 0.15 * restart * rng.standard_normal(
-            2 * len(active)
-        )
-        search = CMA(
-            mean=np.clip(mean, 0.06, 0.94), sigma=0.2, bounds=bounds, seed=int(rng.integers(2**31)), population_size=32
-        )
-        for _ in range(rounds):
-            x = np.stack([search.ask() for _ in range(search.population_size)])
-            cost = judge(*poses(x))
-            search.tell(list(zip(x, cost.tolist(), strict=True)))
-            if cost.min() < least:
-                best, least = x[cost.argmin()], float(cost.min())
-            if search.should_stop():
-                break
-        if least < _GOOD or rounds < _ROUNDS:
-            break
-    assert best is not None
-    home, closed = poses(best[None])
-    return judge.closing(home[0], closed[0])
-
-
-def scan(judge: Judge, embodiment: Embodiment, rest: Array, joint: int) -> Closing:
-    """The better of the two ways that one joint can close: between where it is wide open and where the sides meet."""
-    lower, upper = embodiment.independent_limits
-    best: Closing | None = None
-    for start, end in ((lower[joint], upper[joint]), (upper[joint], lower[joint])):
-        values = np.linspace(start, end, 201)
-        ways = np.repeat(rest[None], 2, axis=0)
-        ways[0, joint], ways[1, joint] = start, end
-        whole = judge.closing(ways[0], ways[1])
-        gap = np.interp(np.linspace(0, 1, len(values)), np.linspace(0, 1, _POSES), whole.gap_m)
-        first = int(np.argmax(gap <= _WIDER_M)) if (gap <= _WIDER_M).any() else 0
-        shut = gap <= 4 * _SHUT_M
-        last = int(np.argmax(shut)) if shut.any() else len(values) - 1
-        if last <= first:
-            first, last = 0, len(values) - 1
-        ways[0, joint], ways[1, joint] = values[first], values[last]
-        way = judge.closing(ways[0], ways[1])
-        if best is None or way.cost < best.cost:
-            best = way
-    assert best is not None
-    return best
 
 
 def _place(T: Array, finger: Finger) -> tuple[Array, Array]:

@@ -129,3 +129,26 @@ def _of(embodiment: Embodiment, tree: KinematicTree, body: int, mesh: trimesh.Tr
         axis,
         thumb,
     )
+
+
+def anchor(embodiment: Embodiment, tree: KinematicTree, finger: Finger) -> Array:
+    """(3,) where a finger's first own joint is, m."""
+    body = int(np.searchsorted(tree.arrays.joint_start, finger.first_joint, side="right")) - 1
+    return tree.forward(embodiment.home)[body, :3, 3]
+
+
+def pointing(embodiment: Embodiment, tree: KinematicTree, fingers: list[Finger]) -> Array:
+    """(3,) where stretched fingers point, in the base frame."""
+    T_links = tree.forward(embodiment.coupled.expand(neutral(embodiment)))
+    ways = []
+    for finger in fingers:
+        T = T_links[finger.body]
+        way = finger.points_link @ T[:3, :3].T + T[:3, 3] - anchor(embodiment, tree, finger)
+        farthest = way[np.linalg.norm(way, axis=1).argsort()[-len(way) // 5 :]].mean(axis=0)
+        ways.append(farthest / np.linalg.norm(farthest))
+    return np.sum(ways, axis=0)
+
+
+def neutral(embodiment: Embodiment) -> Array:
+    """(m,) 0, or the nearest that limits allow."""
+    return np.clip(np.zeros(len(embodiment.coupled.independent)), *embodiment.independent_limits)

@@ -79,14 +79,14 @@ def environment_ids() -> list[str]:
 def _robots() -> list[str]:
     """Embodiments that have environments: all that have a name. Where those of one's own cannot be listed the others are of use."""
     # Importing cei_gym registers the environments, for which this module must be complete.
-    from cei_gym.embodiment import ARMS, END_EFFECTORS, embodiment_names
+    from cei_gym.embodiment import GRID, embodiment_names
     from cei_gym.errors import CEIError
 
     try:
         return [name for name in embodiment_names() if name.count("-") == 1]
     except CEIError as error:
         warnings.warn(str(error), stacklevel=2)
-        return [f"{arm}-{end_effector}" for arm in ARMS for end_effector in END_EFFECTORS]
+        return [*GRID]
 
 
 def register() -> None:

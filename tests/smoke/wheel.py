@@ -14,7 +14,7 @@ def main() -> None:
     import cei_gym
     import lerobot_env_cei
     import lerobot_policy_dp3
-    from cei_gym.embodiment import embodiment_names, load_embodiment
+    from cei_gym.embodiment import GRID, load_embodiment
 
     site = Path(sys.prefix).resolve()
     for package in (cei_gym, cei_converters, cei_envs, lerobot_env_cei, lerobot_policy_dp3):
@@ -22,10 +22,9 @@ def main() -> None:
         assert location.is_relative_to(site), f"{package.__name__} comes from {location}, not from its wheel"
     print(f"imports: cei-gym {distribution('cei-gym').version}")
 
-    names = embodiment_names()
-    for name in names:
+    for name in (*GRID, "Sawyer-Robotiq140", "Jaco-RethinkGripper"):
         load_embodiment(name)
-    print(f"catalogue: {len(names)} embodiments load")
+    print(f"catalogue: {len(GRID) + 2} embodiments load")
 
     env = gym.make("CEI-PickCube-IIWA-Inspire")
     _, info = env.reset(seed=0)
