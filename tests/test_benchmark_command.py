@@ -161,13 +161,13 @@ def test_any_robot_has_a_table_without_the_paper_and_a_stopped_run_goes_on(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--targets=IIWA-Inspyre",), "unknown target 'IIWA-Inspyre'. Did you mean 'IIWA-Inspire'? Valid: "),
+        (("--targets=IIWA-Inspyre",), "unknown target 'IIWA-Inspyre', <Arm>-<EndEffector>: unknown end-effector 'Inspyre'. Did you mean 'Inspire'? "),
         (
             ("--targets=IIWA-PandaGripper", "--tables=main"),
             "--tables=main are the paper's, which has not all of --targets",
         ),
         (("--targets=IIWA-PandaGripper", "--tasks=Fly"), "unknown task 'Fly'. Valid: OpenDrawer, PickCube, StackCube"),
-        (("--targets=IIWA-PandaGripper", "--source=Me"), "unknown source 'Me'. Valid: "),
+        (("--targets=IIWA-PandaGripper", "--source=Me"), "unknown source 'Me', "),
         (("--source=IIWA-PandaGripper",), "--source=IIWA-PandaGripper is for targets that are not the paper's"),
     ],
 )
@@ -228,7 +228,7 @@ def test_redraw_makes_the_tables_of_what_there_is(folder: Path, tmp_path: Path, 
     [
         ("--seed=4", 1, ".json was made with other settings (seeds: [3, 3], here [4, 4]); remove it or"),
         ("--tasks=PickCub", 1, "unknown task 'PickCub'. Did you mean 'PickCube'? Valid: OpenDrawer, PickCube"),
-        ("--targets=IIWA", 1, "Valid: UR5e-FourierRight, UR5e-Inspire"),
+        ("--targets=IIWA", 1, "Valid: FourierRight, Inspire, FourierLeft"),
         ("--tables=man", 1, "unknown table 'man'. Did you mean 'main'? Valid: main, ablation, sensitivity."),
         ("--tables=sensitivity --tasks=StackCube", 1, "It has: PickCube; UR5e-FourierRight."),
         ("--jobs=0", 2, "--jobs=0 should be at least 1."),
