@@ -161,7 +161,10 @@ def test_any_robot_has_a_table_without_the_paper_and_a_stopped_run_goes_on(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--targets=IIWA-Inspyre",), "unknown target 'IIWA-Inspyre', <Arm>-<EndEffector>: unknown end-effector 'Inspyre'. Did you mean 'Inspire'? "),
+        (
+            ("--targets=IIWA-Inspyre",),
+            "unknown target 'IIWA-Inspyre', <Arm>-<EndEffector>: unknown end-effector 'Inspyre'. Did you mean 'Inspire'? ",
+        ),
         (
             ("--targets=IIWA-PandaGripper", "--tables=main"),
             "--tables=main are the paper's, which has not all of --targets",
