@@ -149,6 +149,12 @@ def _of_hand(spec: EndEffectorSpec, hand: Embodiment) -> Iterator[Finding]:
 
 def _closing(representation: FunctionalRepresentation, sides: Array) -> Iterator[Finding]:
     gap = pad_gap_m(representation, sides)
+    if gap[0] <= 0:
+        yield Finding(
+            True,
+            "its pads look away from each other: they are where its links lead as it closes; are `home`, which is open, and `closed` swapped?",
+        )
+        return
     if gap[-1] > gap[0]:
         yield Finding(
             True,
