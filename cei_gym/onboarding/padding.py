@@ -16,6 +16,7 @@ from cei_gym.onboarding.fingers import Finger
 from cei_gym.onboarding.mounting import snapped
 
 _NEAR_TIP = 0.75
+_LONGEST_M = 0.03  # of a gripper's fingers: with longer pads a demonstration's cube was held by their lower ends, and slipped (14 of 20 for 20)
 _LEADS = 0.9  # cosine to a pad's normal of the way that its link sets out, where that is told by the pose alone
 
 
@@ -51,9 +52,12 @@ def _extent(embodiment: Embodiment, finger: Finger, weight: Array) -> list[float
     points = finger.points_link[weight > 0.3 * weight.max()] @ axes[0]
     if -along.min() > along.max():
         along, points = -along, -points
+    least = 1 - _LONGEST_M / np.ptp(along)  # where fingertips begin, of long jaws
     ends = (np.quantile(points, [0.02, 0.98]) - along.min()) / np.ptp(along)
     start, end = np.clip(np.round(ends, 2), 0, 1)
     start, end = 0.0 if start < 1 - _NEAR_TIP and finger.joints else start, 1.0 if end > _NEAR_TIP else end
+    if end == 1.0 and finger.joints:
+        start = max(start, round(float(least), 2))
     return [float(start), float(end)] if end > start else [0.0, 1.0]
 
 
