@@ -108,6 +108,7 @@ LAYERS = {
         *(
             "structure",
             "digits",
+            "overlaps",
             "fingers",
             "closing",
             "search",

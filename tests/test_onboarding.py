@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cei_converters.robot import command
-from cei_gym.alignment.judge.clearance import Clearance
 from cei_gym.embodiment import (
     ArmSpec,
     EndEffectorSpec,
@@ -22,7 +21,7 @@ from cei_gym.embodiment.catalogue import load_part
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
 from cei_gym.onboarding import check_arm, check_end_effector, propose
-from cei_gym.onboarding.arm import in_itself
+from cei_gym.onboarding.overlaps import Overlaps
 from cei_gym.onboarding.writing import yaml_of
 
 SHARED = Path(__file__).parents[2] / "shared/robots"
@@ -222,8 +221,7 @@ def test_links_in_each_other_at_home_are_told() -> None:
     arm = load_arm("UR5e")
     body = build_embodiment(arm, None)
     poses = np.random.default_rng(0).uniform(body.lower, body.upper, size=(50, len(body.lower)))
-    clearance = Clearance(body)
-    deepest = max(poses, key=lambda qpos: in_itself(clearance, qpos)[0])
+    deepest = max(poses, key=Overlaps(body).deepest_m)
     home = dict(zip(body.joint_names, deepest.tolist(), strict=True))
     assert any("deep in" in text for text in wrong(check_arm(replace(arm, home=home))))
 

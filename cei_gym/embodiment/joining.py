@@ -1,6 +1,6 @@
 """The descriptions of an arm and an end-effector joined to one, with what they say of couplings and speeds."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
@@ -80,7 +80,7 @@ def join(arm: ArmSpec | None, end_effector: EndEffectorSpec | None, relative_to:
             END_EFFECTOR_PREFIX + name: Coupling(END_EFFECTOR_PREFIX + c.joint, c.scale, c.offset, c.ignore_limits)
             for name, c in _couplings(end_effector, description, description.spec, inside, notes).items()
         }
-        _attach(arm, flange, root, end_effector, description)
+        _attach(arm, flange, root, end_effector, description, notes)
         max_velocity |= {END_EFFECTOR_PREFIX + name: speed for name, speed in description.max_velocity.items()}
     return Joined(spec, descriptions, couplings, max_velocity, held, notes)
 
@@ -215,7 +215,12 @@ def _only(spec: mujoco.MjSpec, part: ArmSpec | EndEffectorSpec, inside: Iterable
 
 
 def _attach(
-    arm: ArmSpec | None, flange: mujoco.MjsBody, root: mujoco.MjsBody, spec: EndEffectorSpec, description: Description
+    arm: ArmSpec | None,
+    flange: mujoco.MjsBody,
+    root: mujoco.MjsBody,
+    spec: EndEffectorSpec,
+    description: Description,
+    notes: list[str],
 ) -> None:
     hand = description.spec
     disabled = {e.kind for e in spec.physics if not e.enabled}
@@ -235,9 +240,19 @@ def _attach(
                     geom.mass = mass_kg
     if spec.inertia_groups:
         hand.compiler.inertiagrouprange = spec.inertia_groups
+    notes += [f"{spec.name}: {note}" for note in _touching(hand, spec)]
     frame = flange.add_frame()
     if arm is not None and arm.mount_pos_m:
         frame.pos = arm.mount_pos_m
     if arm is not None and arm.mount_quat_wxyz:
         frame.quat = arm.mount_quat_wxyz
     frame.attach_body(root, END_EFFECTOR_PREFIX, "")
+
+
+def _touching(hand: mujoco.MjSpec, spec: EndEffectorSpec) -> Iterator[str]:
+    """Have pads touch where a description has them for looks alone; sentences about those."""
+    pads = {name for pad in spec.pads for name in pad.geoms}
+    for geom in hand.geoms:
+        if geom.name in pads and not (geom.contype or geom.conaffinity):
+            geom.contype = geom.conaffinity = 1
+            yield f"geom {geom.name!r} is only seen in its description; as a pad it touches, as its convex hull."

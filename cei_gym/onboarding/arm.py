@@ -7,17 +7,16 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from cei_gym.alignment.judge.clearance import STAND, Clearance
 from cei_gym.arrays import Array
 from cei_gym.embodiment import ArmSpec, Embodiment, build_embodiment
 from cei_gym.embodiment.meshes import geom_vertices
 from cei_gym.kinematics import KinematicTree
 from cei_gym.onboarding.digits import rounded
+from cei_gym.onboarding.overlaps import Overlaps
 
 _FRONT, _MOST_FRONT_M = 0.55, 0.5  # of the arm's reach, at most: how far in front the flange rests
 _ABOVE, _MOST_ABOVE_M = 0.35, 0.3  # likewise above what it stands on
 _BELOW_SHOULDER = 0.4  # likewise below a shoulder that is not near what it stands on, as of a humanoid
-_NOWHERE_M = -1e3  # no support
 _STARTS, _POSES = 40, 2000
 _MARGIN = 0.05  # of a joint's range that is kept to its limits
 _OUTWARD = np.cos(np.radians(20))
@@ -133,12 +132,6 @@ def _shoulder(tree: KinematicTree, mount: int) -> int:
     return int(np.searchsorted(tree.arrays.joint_start, second, side="right")) - 1
 
 
-def in_itself(clearance: Clearance, qpos: Array) -> tuple[float, tuple[str, ...]]:
-    """How deep links of an arm are in each other, m, and which; where it will stand is not known."""
-    found = clearance.penetration(qpos[None], _NOWHERE_M)
-    return (0.0, ()) if STAND in found.between[0] else (float(found.depth_m[0]), found.between[0])
-
-
 def _home(
     embodiment: Embodiment, tree: KinematicTree, mount: int, T_mount_flange: Array, reach_m: float
 ) -> tuple[list[float], bool]:
@@ -162,17 +155,17 @@ def _home(
         down = (flange[:3, 2] - [0.0, 0.0, -1.0]) / 0.2
         return np.concatenate([off, down, 0.1 * (u - middle)])
 
-    clearance, rng, best = Clearance(embodiment), np.random.default_rng(0), None
+    overlaps, rng, best = Overlaps(embodiment), np.random.default_rng(0), None
     for start in rng.uniform(low, high, size=(_STARTS, len(low))):
         found = least_squares(residual, np.clip(start, low + 1e-6, high - 1e-6), bounds=(low, high), max_nfev=60)
         error = residual(found.x)
-        inside = in_itself(clearance, embodiment.coupled.expand(found.x))[0]
+        inside = overlaps.deepest_m(embodiment.coupled.expand(found.x))
         T = tree.forward(embodiment.coupled.expand(found.x))
         lowest = float(T[tree.arrays.body_joint >= 1, 2, 3].min())
         margin = float((np.minimum(found.x - low, high - found.x) / span).min())
         cost = (
             np.square(error).sum()
-            + 100 * inside
+            + 1000 * inside
             + (0.0 if hanging else 20 * max(0.0, 0.02 - lowest))
             + 2 * max(0.0, 0.1 - margin)
         )

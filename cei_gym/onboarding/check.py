@@ -9,20 +9,19 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cei_gym.alignment.contact.pads import opposing_sides
-from cei_gym.alignment.judge.clearance import Clearance
 from cei_gym.arrays import Array
 from cei_gym.embodiment import ArmSpec, Embodiment, EndEffectorSpec, build_embodiment
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError
 from cei_gym.functional.representation import FunctionalRepresentation, sample_representation
 from cei_gym.kinematics import KinematicTree
-from cei_gym.onboarding.arm import flange, in_itself
+from cei_gym.onboarding.arm import flange
+from cei_gym.onboarding.overlaps import Overlaps
 
 _POINTS = 128
 _POSES = 21
 _SHUT_M = 0.015  # pads that stay farther apart hold nothing small
 _OPEN_M = 0.04  # the cube of PickCube
-_DEEP_M = 0.003
 _ALIKE = 0.005
 _FACING = np.cos(np.radians(60))
 _SIX = 6
@@ -108,10 +107,15 @@ def _of_arm(spec: ArmSpec, arm: Embodiment) -> Iterator[Finding]:
             cosine < -_FACING,
             f"the flange's z {backwards} along its last joint; an end-effector would be mounted so. `mount_quat_wxyz: {quat}` would be right.",
         )
-    depth_m, between = in_itself(Clearance(arm), arm.home)
-    if depth_m > _DEEP_M:
-        name, other = between
-        yield Finding(True, f"at home {name!r} is {1e3 * depth_m:.0f} mm deep in {other!r}; choose another `home`.")
+    overlaps = Overlaps(arm)
+    for (name, other), depth_m in overlaps.at(arm.home).items():
+        deep, by_design = f"{name!r} is {1e3 * depth_m:.0f} mm deep in {other!r}", (name, other) in overlaps.by_design
+        yield Finding(
+            not by_design,
+            f"{deep} in most poses, at home too: their shapes overlap by design."
+            if by_design
+            else f"at home {deep}; choose another `home`.",
+        )
     independent = arm.coupled.independent
     if len(independent) < _SIX:
         yield Finding(

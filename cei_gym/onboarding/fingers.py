@@ -8,6 +8,7 @@ import trimesh
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.embodiment.meshes import collision_geoms, link_mesh
+from cei_gym.embodiment.names import public_name
 from cei_gym.functional.palmar import outer_mask
 from cei_gym.kinematics import KinematicTree
 
@@ -27,6 +28,7 @@ class Finger:
         chain: indices of all joints that move it, likewise.
         first_joint: index of the first of them that moves no other finger; -1 for a fixed jaw.
         points_link, normals_link: (P, 3) of its outer surface in the link's frame, m and unit.
+        geoms: names of its shapes, where none of them can touch as its description has it; else empty.
         axis_link: (3,) unit, from its last joint along it, in the link's frame.
         named_thumb: whether it is called one.
     """
@@ -38,6 +40,7 @@ class Finger:
     first_joint: int
     points_link: Array
     normals_link: Array
+    geoms: tuple[str, ...]
     axis_link: Array
     named_thumb: bool
 
@@ -80,16 +83,22 @@ def _of_group(embodiment: Embodiment, tree: KinematicTree, group: list[int]) -> 
     anchor = T_links[group[0], :3, 3]
     found = []
     for body in group:
-        mesh = link_mesh(embodiment.model, collision_geoms(embodiment.model, body))
+        mesh = link_mesh(embodiment.model, _geoms(embodiment, body))
         if mesh is not None and np.max(mesh.extents) >= _LEAST_M:
             reach_m = np.linalg.norm(trimesh.transform_points(mesh.vertices, T_links[body]) - anchor, axis=1).max()
             found.append((float(reach_m), body, mesh))
     return [_of(embodiment, tree, body, mesh) for _, body, mesh in sorted(found, key=lambda each: -each[0])]
 
 
+def _geoms(embodiment: Embodiment, body: int) -> Array:
+    """What of a link can touch, or, where nothing of it can, what is seen."""
+    touching = collision_geoms(embodiment.model, body)
+    return touching if len(touching) else np.flatnonzero(embodiment.model.geom_bodyid == body)
+
+
 def _fixed_jaws(embodiment: Embodiment, tree: KinematicTree) -> list[Finger]:
     still = [b for b in range(1, len(tree.arrays.parent)) if tree.arrays.body_joint[b] < 0]
-    meshes = [(body, link_mesh(embodiment.model, collision_geoms(embodiment.model, body))) for body in still]
+    meshes = [(body, link_mesh(embodiment.model, _geoms(embodiment, body))) for body in still]
     return [_of(embodiment, tree, body, mesh) for body, mesh in meshes if mesh is not None]
 
 
@@ -99,6 +108,7 @@ def _of(embodiment: Embodiment, tree: KinematicTree, body: int, mesh: trimesh.Tr
     points, normals = np.asarray(points), np.asarray(mesh.face_normals[faces])
     outer = outer_mask(mesh, points, normals)
     points, normals = points[outer][:count], normals[outer][:count]
+    names_of_geoms = [public_name(embodiment.model.geom(g).name) for g in _geoms(embodiment, body)]
     chain, joint = [], int(tree.arrays.body_joint[body])
     while joint >= 0:
         chain.append(joint)
@@ -126,6 +136,7 @@ def _of(embodiment: Embodiment, tree: KinematicTree, body: int, mesh: trimesh.Tr
         -1,
         points,
         normals,
+        () if len(collision_geoms(embodiment.model, body)) else tuple(names_of_geoms),
         axis,
         thumb,
     )

@@ -70,6 +70,10 @@ def guess_hand(spec: EndEffectorSpec, folder: Path) -> HandGuess:
         groups = find_fingers(embodiment, tree)
         fingers = [group[0] for group in groups]
     closing = choose_closing(embodiment, tree, groups)
+    if any(not weight.any() for weight in closing.weights) or not closing.axis_base.any():
+        raise CEIError(
+            f"{spec.name}: no two of its links were found that close on each other; if they are there, write `closed` and `pads` yourself."
+        )
     names = [embodiment.joint_names[q] for q in embodiment.coupled.independent]
     lower, upper = embodiment.independent_limits
     at = {label: inside(pose, lower, upper) for label, pose in (("home", closing.home), ("closed", closing.closed))}

@@ -30,7 +30,7 @@ def guess_pads(spec: EndEffectorSpec, embodiment: Embodiment, tree: KinematicTre
             weight = closing.weights[closing.fingers.index(finger)]
             jaws = len(closing.fingers) == 2 and len({f.joints for f in closing.fingers if f.joints}) == 1
             extent = _extent(embodiment, finger, weight) if jaws else [0.0, 1.0]
-            pad = Pad(body=finger.link, share=most / len(side), extent=extent)
+            pad = Pad(body=finger.link, geoms=list(finger.geoms), share=most / len(side), extent=extent)
             normal = (weight[:, None] * finger.normals_link).sum(axis=0)
             normal /= np.linalg.norm(normal)
             if not finger.joints or _auto(embodiment, tree, pad, finger, weight) @ normal < _LEADS:
@@ -46,7 +46,7 @@ def _auto(embodiment: Embodiment, tree: KinematicTree, pad: Pad, finger: Finger,
 
 def _extent(embodiment: Embodiment, finger: Finger, weight: Array) -> list[float]:
     """Which part of a link's length, to its tip, holds objects."""
-    mesh = pad_mesh(embodiment, Pad(body=finger.link))
+    mesh = pad_mesh(embodiment, Pad(body=finger.link, geoms=list(finger.geoms)))
     _, _, axes = np.linalg.svd(mesh.vertices - mesh.vertices.mean(0), full_matrices=False)
     along = np.asarray(mesh.vertices) @ axes[0]
     points = finger.points_link[weight > 0.3 * weight.max()] @ axes[0]
@@ -63,8 +63,9 @@ def _extent(embodiment: Embodiment, finger: Finger, weight: Array) -> list[float
 
 def _sampled(spec: EndEffectorSpec, embodiment: Embodiment, pad: Pad) -> Pad:
     """A pad with the largest `palmar_cosine` that leaves it a surface."""
-    for cosine in (pad.palmar_cosine, 0.6, 0.4):
-        tried = replace(pad, palmar_cosine=cosine)
+    whole = [0.0, 1.0]  # where either end of a link may be its tip
+    for cosine, extent in [(c, e) for e in (pad.extent, whole) for c in (pad.palmar_cosine, 0.6, 0.4)]:
+        tried = replace(pad, palmar_cosine=cosine, extent=extent)
         one = replace(spec, pads=[tried])
         try:
             sample_representation(replace(embodiment, end_effector=one), 16)

@@ -17,7 +17,7 @@ from cei_gym.onboarding.arm import guess_arm
 from cei_gym.onboarding.hand import guess_hand
 from cei_gym.onboarding.structure import Part, find_parts
 
-_SIDES = ("left", "right")
+_SIDES = {"Left": re.compile(r"left|(^|[ _])l_"), "Right": re.compile(r"right|(^|[ _])r_")}
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,18 @@ def propose(description: str, folder: Path, kind: str = "", name: str = "", root
     angle = "radian" if any("if these are radians" in note for note in doubtful_units(read.spec)) else ""
     flanges: dict[str, Array] = {}
     found: list[Proposal] = []
+    failed: list[str] = []
     # Hands first: where one is mounted tells where its arm's flange is.
     for part, own in sorted(zip(parts, names, strict=True), key=lambda each: each[0].kind, reverse=True):
         unsure = {"angle": "it does not say, and in degrees nothing would move by more than a few"} if angle else {}
         joints = part.joints if part.beside else []
         if part.kind == "end_effector":
             spec = EndEffectorSpec(own, description, [], root_body=part.root_body, joints=joints, angle=angle)
-            hand = guess_hand(spec, folder)
+            try:
+                hand = guess_hand(spec, folder)
+            except CEIError as error:
+                failed.append(str(error))
+                continue
             found.append(Proposal(hand.spec, hand.embodiment, unsure | hand.unsure, []))
             flanges[part.root_body] = _pose(hand.spec)
         else:
@@ -74,6 +79,9 @@ def propose(description: str, folder: Path, kind: str = "", name: str = "", root
             arm = guess_arm(spec, folder, at)
             notes = [f"its flange is {arm.reach_m:.2f} m from its second joint, stretched"]
             found.append(Proposal(arm.spec, arm.embodiment, unsure | arm.unsure, notes))
+    if not found:
+        raise CEIError(failed[0])
+    found[0].notes.extend(f"left out: {why}" for why in failed)
     yield from sorted(found, key=lambda proposal: isinstance(proposal.spec, EndEffectorSpec))
 
 
@@ -90,7 +98,7 @@ def _names(name: str, parts: list[Part]) -> list[str]:
     for part in parts:
         several = sum(part.kind == other.kind for other in parts) > 1
         where = f"{part.root_body} {part.mount_body}".lower()
-        side = next((side.capitalize() for side in _SIDES if side in where), "") if several else ""
+        side = next((side for side, words in _SIDES.items() if words.search(where)), "") if several else ""
         own = f"{name}{side}" + ("Hand" if len(kinds) > 1 and part.kind == "end_effector" else "")
         names.append(own if own not in names else f"{own}{len(names)}")
     return names
