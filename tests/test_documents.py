@@ -17,6 +17,10 @@ from cei_converters.cli import option_types
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.inspection.command import InspectConfig
 from cei_converters.pads import PadsConfig
+from cei_converters.robot.check import CheckConfig
+from cei_converters.robot.listing import ListConfig
+from cei_converters.robot.new import NewConfig
+from cei_converters.robot.show import ShowConfig
 from cei_converters.view.command import ViewConfig
 
 ROOT = Path(__file__).parents[1]
@@ -27,7 +31,7 @@ NOT_RUN = ("text", "yaml", "json", "bibtex")
 """Languages of blocks in which nothing can be run."""
 SCRIPTS = sorted(ROOT.glob("examples/*.sh"))
 OPTIONS = {
-    name: option_types(config).keys() | {"help", "config_path"}
+    name: {option.rstrip("_") for option in option_types(config)} | {"help", "config_path"}
     for name, config in {
         "cei-convert": ConvertConfig,
         "cei-record": record.RecordConfig,
@@ -36,6 +40,10 @@ OPTIONS = {
         "cei-restore": restore.RestoreConfig,
         "cei-pads": PadsConfig,
         "cei-view": ViewConfig,
+        "cei-robot new": NewConfig,
+        "cei-robot check": CheckConfig,
+        "cei-robot show": ShowConfig,
+        "cei-robot list": ListConfig,
         "cei-benchmark replay": ReplayBenchmarkConfig,
         "cei-benchmark policy": PolicyBenchmarkConfig,
         "cei-benchmark results": ResultsConfig,
@@ -51,7 +59,7 @@ def check_options(text: str, where: str) -> int:
     """Check the options of each of our commands in a script; returns how many commands there are."""
     count = 0
     for line in text.replace("\\\n", " ").splitlines():
-        found = re.search(r"\bcei-(?:benchmark \w+|\w+)(?= --| *$)", line.partition("#")[0])
+        found = re.search(r"\bcei-(?:(?:benchmark|robot) \w+|\w+)(?= --| *$| [^-\s]\S*)", line.partition("#")[0])
         if found is None:
             continue
         command, count = found.group(), count + 1
@@ -97,7 +105,9 @@ def test_options_that_documents_explain_exist() -> None:
 
 def test_every_command_writes_json_and_replaces_it_only_if_told() -> None:
     for name, options in OPTIONS.items():
-        assert ({"json", "overwrite"} <= options) is not name.startswith("cei-benchmark"), name
+        assert ({"json", "overwrite"} <= options) is not name.startswith(
+            ("cei-benchmark", "cei-robot new", "cei-robot show")
+        ), name
 
 
 # -- that everything is run ---------------------------------------------------------------------------------------

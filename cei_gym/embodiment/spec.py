@@ -191,7 +191,7 @@ class EndEffectorSpec(_Part):
             give way.
         couplings: as for an arm.
         simulator_name: the simulator's name for it, if it differs.
-        package_path, xacro_args, servo, folder: as for an arm.
+        package_path, xacro_args, servo, remark, folder: as for an arm.
         self_contact: as for an arm, or "fingers": links of different fingers alone. An arm touches it if both say "all".
     """
 

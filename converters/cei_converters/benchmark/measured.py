@@ -48,6 +48,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "benchmarks/observation.py": (
         *(*_CLOUDS, "cei_gym/wrapper.py", *_ENVIRONMENTS, "benchmarks/observation.py", "benchmarks/measure.py"),
     ),
+    "benchmarks/pads.py": ("cei_gym/embodiment/*", "cei_gym/functional/*", "cei_gym/rendering/*", "benchmarks/pads.py"),
     "benchmarks/scale.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/scale.py", "benchmarks/transfer.py"),
     "benchmarks/start_up.py": (
         *(*_CLOUDS, "cei_gym/__init__.py", "cei_gym/compiled.py", *_ENVIRONMENTS, "benchmarks/start_up.py"),
