@@ -45,8 +45,8 @@ ELSEWHERE = {
     r"python benchmarks/camera\.py": "compares with MuJoCo's renderer, which needs a GL library",
     r"python benchmarks/scale\.py.*": "minutes however small; it records and converts by benchmarks/transfer.py, which is run",
     r"cei-robot show .*": "serves until it is ended; tests/test_robot_show.py opens it in a browser",
-    r"cei-benchmark replay --targets=XArm7\S+": "half an hour; tests/test_benchmark_command.py runs it smaller",
-    r"python benchmarks/pads\.py": "needs ../shared/robots; a picture",
+    r"CEI_GYM_PACKAGE_PATH=\S+ cei-benchmark replay --targets=XArm7.*": "half an hour; tests/test_benchmark_command.py runs it smaller",
+    r"CEI_GYM_PACKAGE_PATH=\S+ python benchmarks/pads\.py": "needs ../shared/robots; a picture",
     r"cei-benchmark replay (--tables=main|--seed=1000 --results=\S+)": "an hour; tests/test_benchmark_command.py runs it smaller",
 }
 """Commands that are not run here, as patterns, and why."""
