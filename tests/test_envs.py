@@ -118,9 +118,9 @@ print("heavy:", sorted(heavy & set(sys.modules)))
     assert run_python(code).splitlines()[-1] == "heavy: []"
 
 
-@pytest.mark.parametrize("name", ["IIWA-Inspir", "Inspire"])
-def test_an_unknown_embodiment_lists_the_valid_ones(name: str) -> None:
-    with pytest.raises(CEIError, match="Valid: UR5e-FourierRight, "):
+@pytest.mark.parametrize(("name", "valid"), [("IIWA-Inspir", "FourierRight, Inspire"), ("Inspire", "UR5e, IIWA")])
+def test_an_unknown_embodiment_lists_the_valid_parts(name: str, valid: str) -> None:
+    with pytest.raises(CEIError, match=f"Valid: {valid}, "):
         gym.make(environment_id("PickCube", NAMES[0]), embodiment=name)
 
 

@@ -57,6 +57,7 @@ def options(name: str, source: Path) -> list[str]:
         "cei-inspect": [*dataset, f"--source={killed.ROBOT}", "--save_map=m.yaml", "--json=r.json"],
         "cei-replay": [*dataset, "--env=CEI-PickCube-Panda-PandaGripper", "--json=r.json"],
         "cei-pads": ["--end_effector=Inspire", "--output=a/p.png", "--points=20000"],
+        "cei-robot": ["new", "package://robosuite/models/assets/grippers/rethink_gripper.xml", "--output=a"],
         "cei-view": [*dataset, "--rrd=a/v.rrd", "--sheet=v.png"],
         "cei-restore": ["--dataset.repo_id=me/x", "--dataset.root=../edited", f"--original={source}", "--json=r.json"],
         "cei-benchmark": [

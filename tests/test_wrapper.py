@@ -320,7 +320,7 @@ def test_it_composes_with_gymnasiums_wrappers() -> None:
     [
         ({"cloud_key": "cloud"}, r"have no 'cloud'. They have: agent_pos, point_cloud\."),
         ({"embodiment": PANDA}, r"Panda-PandaGripper has 9 joints, but observed joints of .* have shape"),
-        ({"embodiment": "UR5"}, "UR5e-FourierRight"),
+        ({"embodiment": "UR5"}, "Did you mean 'UR5e'"),
     ],
 )
 def test_bad_arguments_are_named(arguments: dict, message: str) -> None:

@@ -81,6 +81,7 @@ def _from(folder: Path, description: str) -> str:
 
 def _tell(path: Path, spec, embodiment, unsure: dict[str, str], notes: list[str]) -> None:
     from cei_converters.cli.table import print_table
+    from cei_gym.embodiment import ArmSpec
 
     print(f"\nWrote {path}")
     rows = zip(
@@ -92,6 +93,9 @@ def _tell(path: Path, spec, embodiment, unsure: dict[str, str], notes: list[str]
         for name, low, high, home, closed, speed, unit in rows
     ]  # fmt: skip
     print_table(table, "Its joints")
+    print(f"  links: {', '.join(embodiment.link_names[1:])}")
+    ends = [spec.mount_body] if isinstance(spec, ArmSpec) else [pad.body for pad in spec.pads]
+    print(f"  {'its flange' if isinstance(spec, ArmSpec) else 'fingertips with pads'}: {', '.join(ends)}")
     for field, why in unsure.items():
         print(f"  unsure of {field}: {why}")
     for note in notes:

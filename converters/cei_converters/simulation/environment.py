@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any
 
 import gymnasium as gym
@@ -41,17 +42,25 @@ def _unknown(env_id: str, ids: list[str]) -> CEIError:
     """What of an id is not known: its task, its arm or its end-effector, where it is made like ours."""
     prefix, *parts = env_id.split("-")
     if f"{prefix}-" != PREFIX or len(parts) != 3:
-        return unknown("environment", env_id, ids)
+        close = get_close_matches(env_id, ids, n=1)
+        return CEIError(
+            f"unknown environment {env_id!r}.{f' Did you mean {close[0]!r}?' if close else ''} Environments are {PREFIX}<Task>-<Arm>-<EndEffector>,"
+            f" of the tasks {', '.join(_tasks(ids))}, the arms {', '.join(arm_names())}, and the end-effectors {', '.join(end_effector_names())}."
+        )
     task, arm, end_effector = parts
     for kind, name, valid in (("arm", arm, arm_names()), ("end-effector", end_effector, end_effector_names())):
         if name not in valid:
             return CEIError(f"{env_id}: {unknown(kind, name, valid)} {HOW_TO_MAKE_ONE}")
-    robot, tasks = f"{arm}-{end_effector}", list(dict.fromkeys(name.split("-")[1] for name in ids))
+    robot, tasks = f"{arm}-{end_effector}", _tasks(ids)
     yamls = [str(path) for path in own_yamls(robot)]
     known = f"The robot {robot} is known{': ' if yamls else ''}{', '.join(yamls)}."
     if task not in tasks:
         return CEIError(f"{env_id}: {unknown('task', task, tasks)} {known}")
     return CEIError(f"{env_id}: no installed package registers it for this robot. {known}")
+
+
+def _tasks(ids: list[str]) -> list[str]:
+    return list(dict.fromkeys(name.split("-")[1] for name in ids))
 
 
 def check_arguments(env_id: str, kwargs: Mapping[str, Any]) -> None:
