@@ -75,6 +75,16 @@ def require(who: str, extra: str, bring: str | None = None) -> None:
         raise lacking(who, module, bring)
 
 
+def require_module(who: str, module: str) -> None:
+    """Refuse, before any work is done, what cannot be done without one module of an extra.
+
+    Raises:
+        MissingExtra: it is not installed.
+    """
+    if not installed(module):
+        raise lacking(who, module)
+
+
 @contextmanager
 def needed_by(who: str) -> Iterator[None]:
     """Explain a failing import in the block: of a module that an extra brings.

@@ -283,3 +283,10 @@ def test_without_processes_a_conversion_is_done_in_one_and_says_so(source: Path,
     done = without(EXTRAS["cluster"].modules, command("cei-convert"), *given)
     assert done.returncode == 0 and (tmp_path / "new/meta/info.json").exists(), done.stderr
     assert 'note: more than one process needs datatrove: pip install "cei-gym[cluster]".\n' in done.stdout
+
+
+@pytest.mark.parametrize("options", [["list"], ["new", "any.urdf"]])
+def test_tables_of_robots_say_what_they_need(options: list[str]) -> None:
+    done = without(["rich"], command("cei-robot"), *options)
+    assert done.stderr == f'error: cei-robot {options[0]} needs rich: pip install "cei-gym[lerobot]".\n'
+    assert done.returncode == 1

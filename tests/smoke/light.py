@@ -133,10 +133,15 @@ def check_commands(folder: Path) -> None:
     """Each says its line, but for `cei-pads`, which needs nothing."""
     scripts = Path(sys.executable).parent
     for command in sorted(e.name for e in distribution("cei-gym").entry_points if e.group == "console_scripts"):
-        options = [f"--end_effector={folder}/hand.yaml", f"--output={folder}/pads.png"] if command == "cei-pads" else []
+        options = {
+            "cei-pads": [f"--end_effector={folder}/hand.yaml", f"--output={folder}/pads.png"],
+            "cei-robot": ["check", f"{folder}/hand.yaml"],
+        }.get(command, [])
         done = subprocess.run([scripts / command, *options], capture_output=True, text=True, check=False)
         if command == "cei-pads":
             assert done.returncode == 0 and (folder / "pads.png").stat().st_size > 1000, done.stderr
+        elif command == "cei-robot":
+            assert done.returncode == 0 and "Nothing is wrong with it." in done.stdout, done.stderr or done.stdout
         else:
             extra = "view" if command == "cei-view" else "lerobot"
             assert done.returncode == 1, f"{command} exits {done.returncode}: {done.stderr}"

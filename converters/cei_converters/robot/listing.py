@@ -5,6 +5,7 @@ from pathlib import Path
 
 from cei_converters.cli import run
 from cei_converters.cli.options import check_overwrite
+from cei_gym import extras
 from cei_gym.errors import CEIError
 
 EXAMPLE = """example:
@@ -29,6 +30,7 @@ def list_robots(config: ListConfig) -> None:
     Raises:
         CEIError: a file must not be replaced.
     """
+    extras.require_module("cei-robot list", "rich")
     from cei_converters.cli.outputs import JSON, Outputs
     from cei_converters.cli.result import write_json
     from cei_converters.cli.table import print_table

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cei_converters.cli import run
+from cei_gym import extras
 from cei_gym.errors import unknown
 
 EXAMPLE = """examples:
@@ -41,6 +42,7 @@ def new(config: NewConfig) -> None:
     Raises:
         CEIError: the description is refused, holds nothing of that kind, or a YAML is there already.
     """
+    extras.require_module("cei-robot new", "rich")
     from cei_converters.cli.outputs import JOINT_MAP, Outputs
     from cei_converters.robot.findings import of_yaml, print_findings
     from cei_gym.embodiment import use_package_path
