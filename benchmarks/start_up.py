@@ -52,7 +52,11 @@ def start(env_id: str, environment: dict[str, str]) -> dict[str, float]:
 def measure(env_id: str, repeats: int) -> dict[str, Any]:
     """A first start, and the median of those after it."""
     with tempfile.TemporaryDirectory() as caches:
-        kept = {"PYTHONPYCACHEPREFIX": f"{caches}/python", "NUMBA_CACHE_DIR": f"{caches}/numba"}
+        kept = {
+            "PYTHONDONTWRITEBYTECODE": "",
+            "PYTHONPYCACHEPREFIX": f"{caches}/python",
+            "NUMBA_CACHE_DIR": f"{caches}/numba",
+        }
         first = start(env_id, os.environ | kept)
         later = [start(env_id, os.environ | kept) for _ in range(repeats)]
     return {"first": first, "later": {name: round(float(np.median([s[name] for s in later])), 2) for name in first}}
