@@ -108,11 +108,6 @@ def check_embodiment(name: str, kind: str = "embodiment") -> None:
             raise CEIError(f"unknown {kind} {name!r}, <Arm>-<EndEffector>: {unknown(part, own, valid)}")
 
 
-def kind_of(spec: ArmSpec | EndEffectorSpec) -> str:
-    """Folder of a specification's kind: "arms" or "end_effectors"."""
-    return "arms" if isinstance(spec, ArmSpec) else "end_effectors"
-
-
 def load_part(path: Path) -> ArmSpec | EndEffectorSpec:
     """The arm or end-effector of a YAML, told apart by `mount_body` and `pads`, which only one of them has.
 

@@ -79,18 +79,27 @@ def _extent_bounds_m(mesh: trimesh.Trimesh, extent: list[float]) -> tuple[Array,
         raise CEIError(f"a pad's `extent` must be 0 <= start < end <= 1, not {extent}.")
     if tuple(extent) == (0, 1):
         return None
-    _, _, axes = np.linalg.svd(mesh.vertices - mesh.vertices.mean(0), full_matrices=False)
-    axis, along_m = axes[0], mesh.vertices @ axes[0]
-    ends_m = -along_m.min(), along_m.max()
+    axis, first_m, last_m = length_axis(mesh)
+    ends_m = -first_m, last_m
     if min(ends_m) > _SAME_LENGTH * max(ends_m) and not np.isclose(extent[0] + extent[1], 1):
         raise CEIError(
             f"`extent` {extent}: the link reaches as far to one side of its joint as to the other ({1e3 * ends_m[0]:.1f} and "
             f"{1e3 * ends_m[1]:.1f} mm), so that it does not say which is the tip; name the pad's `geoms` instead."
         )
-    if ends_m[0] > ends_m[1]:
-        axis, along_m = -axis, -along_m
-    start_m, end_m = along_m.min() + np.array(extent) * np.ptp(along_m)
+    start_m, end_m = first_m + np.array(extent) * (last_m - first_m)
     return axis, float(start_m), float(end_m)
+
+
+def length_axis(mesh: trimesh.Trimesh) -> tuple[Array, float, float]:
+    """The axis (3,) of a link's length, unit, to its tip, the end farther from its joint; and where the link begins and ends along it, m.
+
+    Args:
+        mesh: the link's surface in its frame, whose origin is at the joint.
+    """
+    _, _, axes = np.linalg.svd(mesh.vertices - mesh.vertices.mean(0), full_matrices=False)
+    along_m = mesh.vertices @ axes[0]
+    first_m, last_m = float(along_m.min()), float(along_m.max())
+    return (-axes[0], -last_m, -first_m) if -first_m > last_m else (axes[0], first_m, last_m)
 
 
 def outer_mask(mesh: trimesh.Trimesh, points_link: Array, normals_link: Array) -> Array:

@@ -59,9 +59,9 @@ def guess_arm(spec: ArmSpec, folder: Path, T_mount_flange: Array | None = None) 
         T_mount_flange = found
         if said:
             unsure["mount_quat_wxyz"] = said
-    if not np.allclose(T_mount_flange, np.eye(4)):
+    if not np.allclose(T_mount_flange, np.eye(4)):  # to the micrometre: a hand of the same file is where it is
         quat = Rotation.from_matrix(T_mount_flange[:3, :3]).as_quat(scalar_first=True)
-        position = [rounded(x) for x in T_mount_flange[:3, 3]]
+        position = [round(float(x), 6) + 0.0 for x in T_mount_flange[:3, 3]]
         spec = replace(spec, mount_pos_m=position, mount_quat_wxyz=[round(float(x), 6) + 0.0 for x in quat])
     reach = reach_m(embodiment)
     u, reached = _home(embodiment, tree, mount, T_mount_flange, reach)
@@ -76,7 +76,7 @@ def flange(embodiment: Embodiment, tree: KinematicTree, mount: int) -> tuple[Arr
     """(4, 4) a flange in its link whose z points out of the arm, and why it is not the link's own frame; "" if it is."""
     T = tree.forward(embodiment.home)
     joint = int(tree.arrays.body_joint[mount])
-    holder = int(np.searchsorted(tree.arrays.joint_start, joint, side="right")) - 1
+    holder = int(embodiment.model.jnt_bodyid[joint])
     anchor = T[holder, :3, :3] @ tree.arrays.anchor[joint] + T[holder, :3, 3]
     axis = T[holder, :3, :3] @ tree.arrays.axis[joint]
     before = T[tree.arrays.parent[holder], :3, 3]
@@ -124,12 +124,8 @@ def reach_m(arm: Embodiment) -> float:
 
 def _shoulder(tree: KinematicTree, mount: int) -> int:
     """The link on the arm's second joint, or on its only one."""
-    chain, joint = [], int(tree.arrays.body_joint[mount])
-    while joint >= 0:
-        chain.append(joint)
-        joint = int(tree.arrays.joint_parent[joint])
-    second = chain[-2] if len(chain) > 1 else chain[-1]
-    return int(np.searchsorted(tree.arrays.joint_start, second, side="right")) - 1
+    chain = np.flatnonzero(tree.moving(np.array([mount])))
+    return int(tree.embodiment.model.jnt_bodyid[chain[min(1, len(chain) - 1)]])
 
 
 def _home(

@@ -25,6 +25,7 @@ _OPEN_M = 0.04  # the cube of PickCube
 _ALIKE = 0.005
 _FACING = np.cos(np.radians(60))
 _SIX = 6
+_TIGHT = 0.01  # rad or m of room to a limit
 _ARM_KG, _HAND_KG = (0.2, 150.0), (0.01, 6.0)
 _ARM_M, _HAND_M = (0.15, 2.5), (0.03, 0.7)
 
@@ -147,7 +148,6 @@ def _of_hand(spec: EndEffectorSpec, hand: Embodiment) -> Iterator[Finding]:
         yield Finding(
             True, "its pads lie behind the flange, whose z points out of the arm: turn it with `mount_quat_wxyz`."
         )
-    yield from _limits(hand)
     yield from _scale(hand, _HAND_KG, _HAND_M)
 
 
@@ -193,15 +193,13 @@ def _alone(representation: FunctionalRepresentation, tree: KinematicTree, sides:
             )
 
 
-def _limits(embodiment: Embodiment) -> Iterator[Finding]:
-    for label, pose in (("home", embodiment.home), ("closed", embodiment.closed)):
-        room = np.minimum(pose - embodiment.lower, embodiment.upper - pose)[: embodiment.n_arm or None]
-        tight = [q for q in np.flatnonzero(room < 0.01) if embodiment.n_arm and q in embodiment.coupled.independent]
-        for q in tight if label == "home" else ():
-            yield Finding(
-                False,
-                f"`home` has {embodiment.joint_names[q]!r} at its limit; a solver that starts there has half its ways.",
-            )
+def _limits(arm: Embodiment) -> Iterator[Finding]:
+    room = np.minimum(arm.home - arm.lower, arm.upper - arm.home)[arm.coupled.independent]
+    for q in arm.coupled.independent[room < _TIGHT]:
+        yield Finding(
+            False,
+            f"`home` has {arm.joint_names[q]!r} at its limit; a solver that starts there has half its ways.",
+        )
 
 
 def _scale(embodiment: Embodiment, mass_kg: tuple[float, float], size_m: tuple[float, float]) -> Iterator[Finding]:

@@ -32,8 +32,7 @@ class Closing:
         home, closed: (m,) independent joints, rad or m.
         cost: how bad it is: 0 faces squarely, opens by 8 cm and shuts.
         gap_m: (T,) between the sides on the way from home to closed; negative where they have passed each other.
-        facing: how squarely the sides face each other at the width of a small object; 1 is exactly.
-        axis_base: (3,) unit, from one side to the other at that width.
+        axis_base: (3,) unit, from one side to the other at the width of a small object.
         middle_base: (3,) between the sides there, m.
         share: where on the way that is, 0 home and 1 closed.
         weights: for each finger (P,), how much each point is palm side.
@@ -44,7 +43,6 @@ class Closing:
     closed: Array
     cost: float
     gap_m: Array
-    facing: float
     axis_base: Array
     middle_base: Array
     share: float
@@ -91,10 +89,10 @@ class Judge:
 
     def closing(self, home: Array, closed: Array) -> Closing:
         """One way, (m,), with what is to know of it."""
-        cost, gap, facing, axis, middle, weights, at = self._judge(home[None], closed[None])
+        cost, gap, axis, middle, weights, at = self._judge(home[None], closed[None])
         t = int(at[0])
         return Closing(
-            self._sides, home, closed, float(cost[0]), gap[0], float(facing[0, t]), axis[0, t], middle[0, t], t / (POSES - 1),
+            self._sides, home, closed, float(cost[0]), gap[0], axis[0, t], middle[0, t], t / (POSES - 1),
             tuple(weight[0] for weight in weights),
         )  # fmt: skip
 
@@ -151,7 +149,7 @@ class Judge:
         rows = np.arange(len(home))
         middle = (c1 + c2) / 2
         cost += self._in_front(middle[rows, at], across[rows, at], placed, weights, at)
-        return cost, gap, facing, across, middle, weights, at
+        return cost, gap, across, middle, weights, at
 
     def _palm_sides(self, placed: list[tuple[Array, Array]]) -> list[Array]:
         """For each finger (B, P): how much of each point's normal goes where its surface sets out to."""

@@ -59,7 +59,7 @@ def _first_own(finger: Finger, groups: list[list[Finger]]) -> int:
     return next((joint for joint in finger.chain if joint not in shared), finger.chain[-1] if finger.chain else -1)
 
 
-def rigid_with(tree: KinematicTree) -> Array:
+def _rigid_with(tree: KinematicTree) -> Array:
     """(L,) of each link the first that it is fixed to: itself where a joint moves it."""
     arrays = tree.arrays
     first = np.arange(len(arrays.parent))
@@ -71,7 +71,7 @@ def rigid_with(tree: KinematicTree) -> Array:
 
 def _ends(embodiment: Embodiment, tree: KinematicTree) -> list[list[int]]:
     """Links of each rigid group that moves and carries no other."""
-    first, parent = rigid_with(tree), tree.arrays.parent
+    first, parent = _rigid_with(tree), tree.arrays.parent
     carries = {int(first[parent[body]]) for body in range(1, len(parent)) if first[body] == body}
     moving = [int(body) for body in np.unique(first) if tree.arrays.body_joint[body] >= 0]
     return [[int(b) for b in np.flatnonzero(first == body)] for body in moving if body not in carries]
@@ -109,14 +109,11 @@ def _of(embodiment: Embodiment, tree: KinematicTree, body: int, mesh: trimesh.Tr
     outer = outer_mask(mesh, points, normals)
     points, normals = points[outer][:count], normals[outer][:count]
     names_of_geoms = [public_name(embodiment.model.geom(g).name) for g in _geoms(embodiment, body)]
-    chain, joint = [], int(tree.arrays.body_joint[body])
-    while joint >= 0:
-        chain.append(joint)
-        joint = int(tree.arrays.joint_parent[joint])
+    chain = np.flatnonzero(tree.moving(np.array([body]))).tolist()
     joints = [int(embodiment.coupled.leader[joint]) for joint in chain]
     axis = points.mean(axis=0)
     if (joint := tree.arrays.body_joint[body]) >= 0:
-        holder = int(np.searchsorted(tree.arrays.joint_start, joint, side="right")) - 1
+        holder = embodiment.model.jnt_bodyid[joint]
         T = tree.forward(embodiment.home)
         axis = axis - T[body, :3, :3].T @ (
             T[holder, :3, :3] @ tree.arrays.anchor[joint] + T[holder, :3, 3] - T[body, :3, 3]
@@ -124,15 +121,15 @@ def _of(embodiment: Embodiment, tree: KinematicTree, body: int, mesh: trimesh.Tr
     axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
     names = [embodiment.link_names[body]]
     names += [
-        embodiment.joint_names[embodiment.coupled.independent[u]] for u in joints[:1]
+        embodiment.joint_names[embodiment.coupled.independent[u]] for u in joints[-1:]
     ]  # the last, which is its own
     words = [word for name in names for word in name.lower().replace("-", "_").replace(".", "_").split("_")]
     thumb = any(word.startswith(_THUMB) for word in words)
     return Finger(
         body,
         embodiment.link_names[body],
-        tuple(dict.fromkeys(joints[::-1])),
-        tuple(chain[::-1]),
+        tuple(dict.fromkeys(joints)),
+        tuple(chain),
         -1,
         points,
         normals,
@@ -144,13 +141,13 @@ def _of(embodiment: Embodiment, tree: KinematicTree, body: int, mesh: trimesh.Tr
 
 def anchor(embodiment: Embodiment, tree: KinematicTree, finger: Finger) -> Array:
     """(3,) where a finger's first own joint is, m."""
-    body = int(np.searchsorted(tree.arrays.joint_start, finger.first_joint, side="right")) - 1
+    body = embodiment.model.jnt_bodyid[finger.first_joint]
     return tree.forward(embodiment.home)[body, :3, 3]
 
 
 def pointing(embodiment: Embodiment, tree: KinematicTree, fingers: list[Finger]) -> Array:
     """(3,) where stretched fingers point, in the base frame."""
-    T_links = tree.forward(embodiment.coupled.expand(neutral(embodiment)))
+    T_links = tree.forward(embodiment.coupled.expand(_neutral(embodiment)))
     ways = []
     for finger in fingers:
         T = T_links[finger.body]
@@ -160,6 +157,6 @@ def pointing(embodiment: Embodiment, tree: KinematicTree, fingers: list[Finger])
     return np.sum(ways, axis=0)
 
 
-def neutral(embodiment: Embodiment) -> Array:
+def _neutral(embodiment: Embodiment) -> Array:
     """(m,) 0, or the nearest that limits allow."""
     return np.clip(np.zeros(len(embodiment.coupled.independent)), *embodiment.independent_limits)

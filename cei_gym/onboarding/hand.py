@@ -10,7 +10,6 @@ from cei_gym.embodiment import Coupling, Embodiment, EndEffectorSpec, build_embo
 from cei_gym.embodiment.meshes import geom_vertices
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
-from cei_gym.onboarding.closing import Closing
 from cei_gym.onboarding.digits import inside, rounded
 from cei_gym.onboarding.fingers import Finger, find_fingers
 from cei_gym.onboarding.mounting import guess_mount
@@ -27,13 +26,11 @@ class HandGuess:
     Attributes:
         spec: its specification.
         embodiment: compiled from it.
-        closing: how it closes.
         unsure: what to look at, by the YAML's field.
     """
 
     spec: EndEffectorSpec
     embodiment: Embodiment
-    closing: Closing
     unsure: dict[str, str]
 
 
@@ -88,7 +85,7 @@ def guess_hand(spec: EndEffectorSpec, folder: Path) -> HandGuess:
     embodiment = replace(embodiment, **dict(zip(("home", "closed"), poses, strict=True)))
     spec = replace(spec, pads=guess_pads(spec, embodiment, tree, closing))
     embodiment = build_embodiment(None, spec, folder)
-    return HandGuess(spec, embodiment, closing, unsure)
+    return HandGuess(spec, embodiment, unsure)
 
 
 def _stand(embodiment: Embodiment, tree: KinematicTree) -> tuple[str, str] | None:

@@ -7,7 +7,7 @@ import numpy as np
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment, EndEffectorSpec, Pad
 from cei_gym.errors import CEIError
-from cei_gym.functional.palmar import palmar_directions
+from cei_gym.functional.palmar import length_axis, palmar_directions
 from cei_gym.functional.representation import pad_mesh, sample_representation
 from cei_gym.kinematics import KinematicTree
 from cei_gym.onboarding.closing import Closing
@@ -47,17 +47,14 @@ def _auto(embodiment: Embodiment, tree: KinematicTree, pad: Pad, finger: Finger,
 def _extent(embodiment: Embodiment, finger: Finger, weight: Array) -> list[float]:
     """Which part of a link's length, to its tip, holds objects."""
     mesh = pad_mesh(embodiment, Pad(body=finger.link, geoms=list(finger.geoms)))
-    _, _, axes = np.linalg.svd(mesh.vertices - mesh.vertices.mean(0), full_matrices=False)
-    along = np.asarray(mesh.vertices) @ axes[0]
-    points = finger.points_link[weight > 0.3 * weight.max()] @ axes[0]
-    if -along.min() > along.max():
-        along, points = -along, -points
-    least = 1 - _LONGEST_M / np.ptp(along)  # where fingertips begin, of long jaws
-    ends = (np.quantile(points, [0.02, 0.98]) - along.min()) / np.ptp(along)
+    axis, first_m, last_m = length_axis(mesh)
+    points = finger.points_link[weight > 0.3 * weight.max()] @ axis
+    least = 1 - _LONGEST_M / (last_m - first_m)  # where fingertips begin, of long jaws
+    ends = (np.quantile(points, [0.02, 0.98]) - first_m) / (last_m - first_m)
     start, end = np.clip(np.round(ends, 2), 0, 1)
     start, end = 0.0 if start < 1 - _NEAR_TIP and finger.joints else start, 1.0 if end > _NEAR_TIP else end
     if end == 1.0 and finger.joints:
-        start = max(start, round(float(least), 2))
+        start = max(start, round(least, 2))
     return [float(start), float(end)] if end > start else [0.0, 1.0]
 
 

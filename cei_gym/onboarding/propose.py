@@ -1,7 +1,7 @@
 """From a description to the specifications of what is in it."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -37,8 +37,16 @@ class Proposal:
     notes: list[str]
 
 
-def propose(description: str, folder: Path, kind: str = "", name: str = "", root: str = "") -> Iterator[Proposal]:
-    """What a description's arms and end-effectors are, one after the other.
+def propose(
+    description: str,
+    folder: Path,
+    kind: str = "",
+    name: str = "",
+    root: str = "",
+    xacro_args: Mapping[str, str] | None = None,
+    named: Callable[[list[tuple[str, str]]], None] = lambda _: None,
+) -> list[Proposal]:
+    """What a description's arms and end-effectors are, arms first.
 
     Args:
         description: as in a YAML: a path, or `package://`.
@@ -46,24 +54,30 @@ def propose(description: str, folder: Path, kind: str = "", name: str = "", root
         kind: "arm", "end_effector", "both", or "" to find out.
         name: of what is found; "" is the file's.
         root: link to begin at; "" is the first.
+        xacro_args: of a xacro.
+        named: called with kind and name of all that will be found, before the work.
 
     Raises:
         CEIError: the description is refused, or nothing of that kind is in it.
     """
+    arguments = dict(xacro_args or {})
     place = locate(description, folder, [folder], packages_beside(folder, []))
-    read = load_description(place)
-    parts = find_parts(read.spec, kind, root)
+    read = load_description(place, xacro_args=arguments)
+    parts, left_out = find_parts(read.spec, kind, root)
     names = _names(name or _stem(description), parts)
+    named([(part.kind, own) for part, own in zip(parts, names, strict=True)])
     angle = "radian" if any("if these are radians" in note for note in doubtful_units(read.spec)) else ""
     flanges: dict[str, Array] = {}
     found: list[Proposal] = []
-    failed: list[str] = []
+    failed = [f"the joints to link {end!r} are no arm with a hand at its end" for end in left_out]
     # Hands first: where one is mounted tells where its arm's flange is.
     for part, own in sorted(zip(parts, names, strict=True), key=lambda each: each[0].kind, reverse=True):
         unsure = {"angle": "it does not say, and in degrees nothing would move by more than a few"} if angle else {}
         joints = part.joints if part.beside else []
         if part.kind == "end_effector":
-            spec = EndEffectorSpec(own, description, [], root_body=part.root_body, joints=joints, angle=angle)
+            spec = EndEffectorSpec(
+                own, description, [], root_body=part.root_body, joints=joints, angle=angle, xacro_args=arguments
+            )
             try:
                 hand = guess_hand(spec, folder)
             except CEIError as error:
@@ -73,16 +87,23 @@ def propose(description: str, folder: Path, kind: str = "", name: str = "", root
             flanges[part.root_body] = _pose(hand.spec)
         else:
             spec = ArmSpec(
-                own, description, part.mount_body, {}, joints=joints, until_body=part.until_body, angle=angle
+                own,
+                description,
+                part.mount_body,
+                {},
+                joints=joints,
+                until_body=part.until_body,
+                angle=angle,
+                xacro_args=arguments,
             )
             at = _flange_of(read, part, flanges)
             arm = guess_arm(spec, folder, at)
             notes = [f"its flange is {arm.reach_m:.2f} m from its second joint, stretched"]
             found.append(Proposal(arm.spec, arm.embodiment, unsure | arm.unsure, notes))
     if not found:
-        raise CEIError(failed[0])
+        raise CEIError(failed[-1])
     found[0].notes.extend(f"left out: {why}" for why in failed)
-    yield from sorted(found, key=lambda proposal: isinstance(proposal.spec, EndEffectorSpec))
+    return sorted(found, key=lambda proposal: isinstance(proposal.spec, EndEffectorSpec))
 
 
 def _stem(description: str) -> str:

@@ -4,9 +4,9 @@ from itertools import combinations, pairwise, product
 
 import numpy as np
 
+from cei_gym.alignment.links import link_shapes
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
-from cei_gym.embodiment.meshes import collision_geoms, geom_vertices, outermost
 from cei_gym.errors import CEIError
 from cei_gym.kinematics import KinematicTree
 from cei_gym.onboarding.closing import Closing, Judge
@@ -111,7 +111,7 @@ def _odd(embodiment: Embodiment, tree: KinematicTree, fingers: list[Finger]) -> 
     T_links = tree.forward(embodiment.home)
     for finger in fingers:
         joint = tree.arrays.body_joint[finger.body]
-        body = int(np.searchsorted(tree.arrays.joint_start, joint, side="right")) - 1
+        body = embodiment.model.jnt_bodyid[joint]
         axes.append(T_links[body, :3, :3] @ tree.arrays.axis[joint])
     alike = np.abs(np.array(axes) @ np.array(axes).T).sum(axis=1)
     return [fingers[int(alike.argmin())]]
@@ -123,17 +123,11 @@ def _others(
     """(V, 3) outermost points of all that the fingers' ends are not and their joints do not move, and (3,) the middle of where fingers begin, m."""
     T_links = tree.forward(embodiment.coupled.expand(rest))
     used = {u for finger in fingers for u in finger.joints}
-    kept = []
-    for body in range(1, embodiment.model.nbody):
-        joint, moved = tree.arrays.body_joint[body], False
-        while joint >= 0:
-            moved |= int(embodiment.coupled.leader[joint]) in used
-            joint = tree.arrays.joint_parent[joint]
-        geoms = collision_geoms(embodiment.model, body)
-        if moved or not len(geoms) or any(finger.body == body for finger in fingers):
-            continue
-        vertices = outermost(np.concatenate([geom_vertices(embodiment.model, geom) for geom in geoms]))
-        kept.append(vertices @ T_links[body, :3, :3].T + T_links[body, :3, 3])
+    shapes, leader, kept = link_shapes(embodiment), embodiment.coupled.leader, []
+    for body, vertices in zip(shapes.body, shapes.vertices_link, strict=True):
+        moved = used & set(leader[tree.moving(np.array([body]))].tolist())
+        if not moved and all(finger.body != body for finger in fingers):
+            kept.append(vertices @ T_links[body, :3, :3].T + T_links[body, :3, 3])
     if not kept:
         kept = [T_links[1, None, :3, 3]]
     bases = np.array([anchor(embodiment, tree, finger) for finger in fingers if finger.joints])

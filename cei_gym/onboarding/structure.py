@@ -39,8 +39,8 @@ class Part:
     beside: list[str] = field(default_factory=list[str])
 
 
-def find_parts(spec: mujoco.MjSpec, kind: str = "", root: str = "") -> list[Part]:
-    """The arms and end-effectors of a description.
+def find_parts(spec: mujoco.MjSpec, kind: str = "", root: str = "") -> tuple[list[Part], list[str]]:
+    """The arms and end-effectors of a description, and the ends of chains of joints that are neither, as of legs.
 
     Args:
         spec: the description.
@@ -60,46 +60,62 @@ def find_parts(spec: mujoco.MjSpec, kind: str = "", root: str = "") -> list[Part
     every = [joint.name for joint in start.find_all("joint")]
     if not every:
         raise CEIError("nothing of it moves: an arm or an end-effector has joints.")
-    if kind == "end_effector":
-        first = root or spec.worldbody.first_body().name
-        return [Part("end_effector", first, every)]
-    if kind == "arm":
-        chain = max(_chains(start, []), key=lambda chain: len(chain.joints))
-        return [_arm(spec, chain.joints, chain.end, None)]
     chains = list(_chains(start, []))
-    with_hands = [chain for chain in chains if chain.fork is not None]
-    if not with_hands:
-        (chain, *others) = sorted(chains, key=lambda chain: -len(chain.joints))
-        if others:
-            ends = ", ".join(repr(each.end.name) for each in chains)
-            raise CEIError(
-                f"it has several chains of joints, to {ends}, and none ends in a hand; name the link to begin at (--root), or say what it is (--as)."
-            )
-        jaw = _jaw(chain) if kind == "both" or _is_jaw(chain) else None
-        if jaw is not None and len(chain.joints) > _LEAST_ARM_JOINTS:
-            holder = jaw.parent
-            own = [joint.name for joint in jaw.find_all("joint")]
-            arm = [name for name in chain.joints if name not in own]
-            return [_arm(spec, arm, holder, holder), _hand(spec, holder, own)]
-        if len(chain.joints) < _LEAST_ARM_JOINTS:
-            first = root or spec.worldbody.first_body().name
-            return [Part("end_effector", first, every)]
-        if kind == "both":
-            raise CEIError("it is an arm without an end-effector; leave --as out, or say --as=arm.")
-        return [_arm(spec, chain.joints, chain.end, None)]
-    parts = []
-    for chain in with_hands:
-        assert chain.fork is not None
+    whole = Part("end_effector", root or spec.worldbody.first_body().name, every)
+    found = _with_hands(spec, chains, root) or _serial(spec, chains, kind, whole)
+    kinds = {part.kind for part in found}
+    if kind == "both" and len(kinds) == 1:
+        only, other = ("an arm", "an end-effector") if kinds == {"arm"} else ("an end-effector", "an arm")
+        raise CEIError(f"it is {only} without {other}; leave --as out.")
+    if kind in ("arm", "end_effector"):
+        found = [part for part in found if part.kind == kind] or (
+            [whole] if kind == "end_effector" else _arms(spec, chains)
+        )
+    used = {joint for part in found for joint in part.joints}
+    return found, [chain.end.name for chain in chains if not used & set(chain.joints)]
+
+
+def _with_hands(spec: mujoco.MjSpec, chains: list["_Chain"], root: str) -> list[Part]:
+    """Arms and hands of chains that end where a hand forks."""
+    parts: list[Part] = []
+    for chain in chains:
+        if chain.fork is None:
+            continue
         inside = [joint.name for limb in chain.fork.bodies for joint in limb.find_all("joint")]
         if len(chain.joints) < _LEAST_ARM_JOINTS:
             top = root or _top(chain.fork, chain.joints)
             parts.append(Part("end_effector", top, [*chain.joints, *inside]))
             continue
         first = _first_of_hand(chain.fork)
-        parts += [_arm(spec, chain.joints, first, first), _hand(spec, first, inside)]
-    if kind == "both" and not any(part.kind == "arm" for part in parts):
-        raise CEIError("it is an end-effector without an arm; leave --as out, or say --as=end_effector.")
+        parts += [_arm(spec, chain.joints, first, first), _hand(first, inside)]
     return parts
+
+
+def _serial(spec: mujoco.MjSpec, chains: list["_Chain"], kind: str, whole: Part) -> list[Part]:
+    """What a description without forks is: an arm, one with a jaw at its end, or a jaw."""
+    if len(chains) > 1:
+        return [whole] if kind == "end_effector" else _arms(spec, chains)
+    (chain,) = chains
+    jaw = _jaw(chain) if kind == "both" or _is_jaw(chain) else None
+    if jaw is not None and len(chain.joints) > _LEAST_ARM_JOINTS:
+        own = [joint.name for joint in jaw.find_all("joint")]
+        arm = [name for name in chain.joints if name not in own]
+        return [_arm(spec, arm, jaw.parent, jaw.parent), _hand(jaw.parent, own)]
+    return [whole] if len(chain.joints) < _LEAST_ARM_JOINTS else _arms(spec, chains)
+
+
+def _arms(spec: mujoco.MjSpec, chains: list["_Chain"]) -> list[Part]:
+    """The one chain of joints there is, as an arm.
+
+    Raises:
+        CEIError: there are several.
+    """
+    if len(chains) > 1:
+        ends = ", ".join(repr(each.end.name) for each in chains)
+        raise CEIError(
+            f"it has several chains of joints, to {ends}, and none of them ends in a hand; name the link to begin at (--root)."
+        )
+    return [_arm(spec, chains[0].joints, chains[0].end, None)]
 
 
 @dataclass(frozen=True)
@@ -167,7 +183,7 @@ def _first_of_hand(fork: mujoco.MjsBody) -> mujoco.MjsBody:
     return body
 
 
-def _hand(spec: mujoco.MjSpec, root: mujoco.MjsBody, joints: list[str]) -> Part:
+def _hand(root: mujoco.MjsBody, joints: list[str]) -> Part:
     beside = [joint.name for joint in root.joints]
     return Part("end_effector", root.name, joints, beside=beside)
 

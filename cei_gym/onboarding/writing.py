@@ -21,6 +21,8 @@ def yaml_of(proposal: Proposal) -> str:
         lines.extend(_unsure(unsure.get(name)))
         lines.append(f"{name}: {_flow(value)} # {what}")
 
+    if spec.xacro_args:
+        field("xacro_args", spec.xacro_args, "of the xacro")
     if spec.angle:
         field("angle", spec.angle, "of the description's numbers")
     if isinstance(spec, ArmSpec):

@@ -6,13 +6,12 @@ from pathlib import Path
 
 from cei_converters.cli import run
 from cei_gym import extras
-from cei_gym.errors import unknown
+from cei_gym.errors import CEIError
 
 EXAMPLE = """examples:
   cei-robot new robots/my_arm.urdf
   cei-robot new robots/my_hand.urdf --as=end_effector --name=MyHand
   cei-robot new package://my_description/urdf/robot.urdf --package_path=robots --output=embodiments"""
-KINDS = ("arm", "end_effector", "both")
 
 
 @dataclass
@@ -28,12 +27,9 @@ class NewConfig:
     output: Path | None = (
         None  # Folder of your embodiments; default: the first of CEI_GYM_EMBODIMENTS, else embodiments/.
     )
+    xacro_args: list[str] | None = None  # Arguments of a xacro, such as [prefix:=left_,limited:=true].
     package_path: list[Path] | None = None  # Folders to look for ROS packages in, separated by colons.
     overwrite: bool = False  # Replace YAMLs that are there already.
-
-    def __post_init__(self) -> None:
-        if self.as_ and self.as_ not in KINDS:
-            raise unknown("--as", self.as_, KINDS)
 
 
 def new(config: NewConfig) -> None:
@@ -43,10 +39,10 @@ def new(config: NewConfig) -> None:
         CEIError: the description is refused, holds nothing of that kind, or a YAML is there already.
     """
     extras.require_module("cei-robot new", "rich")
-    from cei_converters.cli.outputs import JOINT_MAP, Outputs
+    from cei_converters.cli.outputs import JOINT_MAP, Output, Outputs
     from cei_converters.robot.findings import of_yaml, print_findings
     from cei_gym.embodiment import use_package_path
-    from cei_gym.embodiment.catalogue import FOLDERS, kind_of
+    from cei_gym.embodiment.catalogue import FOLDERS
     from cei_gym.onboarding import propose
     from cei_gym.onboarding.propose import with_description
     from cei_gym.onboarding.writing import yaml_of
@@ -55,20 +51,41 @@ def new(config: NewConfig) -> None:
     first = next(filter(None, os.environ.get(FOLDERS, "").split(os.pathsep)), "embodiments")
     folder = config.output or Path(first)
     print(f"Reading {config.description} ...", flush=True)
-    proposals = list(propose(config.description, Path.cwd(), config.as_, config.name, config.root))
     outputs = Outputs(config.overwrite)
-    written = {folder / kind_of(p.spec) / f"{p.spec.name}.yaml": p for p in proposals}
-    files = [outputs.file("--output", path, JOINT_MAP) for path in written]
-    for file, (path, proposal) in zip(files, written.items(), strict=True):
-        assert file is not None
+    files: dict[str, Output] = {}
+
+    def make_room(named: list[tuple[str, str]]) -> None:
+        for kind, name in named:
+            file = outputs.file("--output", folder / f"{kind}s" / f"{name}.yaml", JOINT_MAP)
+            assert file is not None
+            files[name] = file
+
+    arguments = _arguments(config.xacro_args or [])
+    proposals = propose(
+        config.description, Path.cwd(), config.as_, config.name, config.root, arguments, named=make_room
+    )
+    for proposal in proposals:
+        file = files[proposal.spec.name]
+        path = file.path
         with file.whole() as partial:
             partial.write_text(yaml_of(with_description(proposal, _from(path.parent, config.description))))
         _tell(path, proposal.spec, proposal.embodiment, proposal.unsure, proposal.notes)
         print_findings(of_yaml(path))
     names = [proposal.spec.name for proposal in proposals]
-    print(f"\nLook at it: cei-robot show {next(iter(written))}")
+    print(f"\nLook at it: cei-robot show {files[names[0]]}")
     if str(folder) not in os.environ.get(FOLDERS, "").split(os.pathsep):
         print(f"To use {' and '.join(names)} by name: export {FOLDERS}={folder.resolve()}")
+
+
+def _arguments(given: list[str]) -> dict[str, str]:
+    """Arguments of a xacro, written as `roslaunch` has them."""
+    arguments: dict[str, str] = {}
+    for each in given:
+        name, assigned, value = each.partition(":=")
+        if not (name and assigned):
+            raise CEIError(f"--xacro_args: {each!r} should read name:=value.")
+        arguments[name] = value
+    return arguments
 
 
 def _from(folder: Path, description: str) -> str:
