@@ -11,7 +11,7 @@ from cei_gym.onboarding.closing import Closing
 from cei_gym.onboarding.digits import rounded
 from cei_gym.onboarding.fingers import Finger, pointing
 
-_ASKEW = 0.2
+_ALONG = 1e-6
 _SNAP_RAD = np.radians(25)  # within which a mount follows the axes of the first link
 
 
@@ -34,14 +34,11 @@ def guess_mount(
     ahead = R_base_root.T @ pointing(
         embodiment, tree, [f for f in fingers if f.joints and (len(fingers) < 4 or f not in closing.sides[0])]
     )
-    for other in (R_base_root.T @ (closing.middle_base - origin), *np.eye(3)):  # where fingers point across themselves
-        if np.linalg.norm(np.cross(ahead, across)) > _ASKEW * np.linalg.norm(ahead):
-            break
-        ahead = other
     z, along_an_axis = snapped(ahead)
-    if abs(z @ across) > 1 - _ASKEW:
-        z, along_an_axis = snapped(ahead - (ahead @ across) * across)
-    y, _ = snapped(across - (across @ z) * z)
+    beside = across - (across @ z) * z
+    if np.linalg.norm(beside) < _ALONG:  # fingers close along the way they point
+        beside = np.eye(3)[int(np.abs(z).argmin())]
+    y, _ = snapped(beside)
     y = y - (y @ z) * z
     y /= np.linalg.norm(y)
     R_flange_root = np.stack([np.cross(y, z), y, z])
