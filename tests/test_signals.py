@@ -209,6 +209,30 @@ def test_whatever_a_library_makes_of_a_signal_it_ends_the_command(what: str, num
     assert list(tmp_path.iterdir()) == []
 
 
+LAST = """
+import os, sys
+from cei_converters import signals
+
+class Last:
+    "Goes as modules do, when Python has given signals back."
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), int(sys.argv[1]))
+        os.write(1, b"whole")
+
+last = Last()
+signals.own()
+signals.finished(3)
+sys.exit(3)
+"""
+
+
+@pytest.mark.parametrize("number", SAID)
+def test_a_signal_that_comes_as_python_ends_changes_nothing(number: int) -> None:
+    process = subprocess.run([sys.executable, "-c", LAST.replace("sys.argv[1]", str(int(number)))], capture_output=True)
+    assert (process.returncode, process.stdout, process.stderr) == (3, b"whole", b"")
+
+
 def test_what_is_to_ignore_a_signal_ignores_it(tmp_path: Path) -> None:
     """As `nohup` has it, and shells for what runs in the background."""
     script = 'trap "" HUP INT; exec "$@"'

@@ -16,7 +16,9 @@ from cei_gym.onboarding.fingers import Finger
 from cei_gym.onboarding.mounting import snapped
 
 _NEAR_TIP = 0.75
-_LONGEST_M = 0.03  # of a gripper's fingers: with longer pads a demonstration's cube was held by their lower ends, and slipped (14 of 20 for 20)
+_LONGEST_M = (
+    0.03  # of a gripper's fingers: with longer pads a demonstration's cube was held by their lower ends, and slipped
+)
 _LEADS = 0.9  # cosine to a pad's normal of the way that its link sets out, where that is told by the pose alone
 
 

@@ -6,6 +6,7 @@ file and the `try` that removes it. So whatever is unfinished is also listed her
 Only the standard library is imported: this is the first that a command does.
 """
 
+import atexit
 import contextlib
 import os
 import signal
@@ -39,6 +40,7 @@ def own() -> None:
     for number in WORDS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _on_signal)
+    atexit.register(_ignore)
 
 
 @contextlib.contextmanager
@@ -128,6 +130,12 @@ def spared() -> Iterator[None]:
 def word(number: int) -> str:
     """What is said of a signal."""
     return WORDS.get(signal.Signals(number), "interrupted")
+
+
+def _ignore() -> None:
+    """Have signals change nothing any more. Python gives them back to the system as it ends, which would end what has succeeded as killed."""
+    for number in WORDS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _on_signal(number: int, _frame: FrameType | None) -> None:

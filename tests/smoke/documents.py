@@ -46,6 +46,8 @@ ELSEWHERE = {
     r"python benchmarks/scale\.py.*": "minutes however small; it records and converts by benchmarks/transfer.py, which is run",
     r"cei-robot show .*": "serves until it is ended; tests/test_robot_show.py opens it in a browser",
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-benchmark replay --targets=XArm7.*": "half an hour; tests/test_benchmark_command.py runs it smaller",
+    r"cei-record .* --seed=100 .*": "for what follows it; README.md records others",
+    r"CEI_GYM_PACKAGE_PATH=\S+ cei-convert .*--target=XArm7-ShadowHand .*": "needs ../shared/robots; tests/test_target_pose_auto.py runs another",
     r"CEI_GYM_PACKAGE_PATH=\S+ python benchmarks/pads\.py": "needs ../shared/robots; a picture",
     r"cei-benchmark replay (--tables=main|--seed=1000 --results=\S+)": "an hour; tests/test_benchmark_command.py runs it smaller",
 }

@@ -15,7 +15,6 @@ from cei_converters.benchmark.robots import (
     DATA,
     REPORT,
     beyond_the_paper,
-    check_source,
     finished_robots,
     robot_cells,
     robots_markdown,
@@ -25,6 +24,7 @@ from cei_converters.benchmark.tables import FILES
 from cei_converters.cli import run
 from cei_converters.cli.options import check_range
 from cei_converters.cli.table import PIPE_WIDTH
+from cei_gym.embodiment import check_embodiment
 from cei_gym.errors import CEIError
 
 EXAMPLE = """example:
@@ -76,7 +76,7 @@ def replay_benchmark(config: ReplayBenchmarkConfig) -> None:
         raise CEIError(f"--source={config.source} is for targets that are not the paper's; its own have {SOURCE}.")
     if robots and config.tables is not None:
         raise CEIError(f"--tables={config.tables} are the paper's, which has not all of --targets={config.targets}.")
-    check_source(config.source)
+    check_embodiment(config.source, "source")
     folder = config.results or Path("results/robots" if robots else "results/replay")
     check_folders(folder, config.work)
     cells = (

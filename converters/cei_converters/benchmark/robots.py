@@ -107,12 +107,3 @@ def robots_markdown(rows: Sequence[Mapping[str, Any]], source: str, commits: Ite
             f"Measured at {mark_of(DATA, sorted(set(commits)))}.",
         ]
     )
-
-
-def check_source(source: str) -> None:
-    """Check the name of whose demonstrations are recorded.
-
-    Raises:
-        CEIError: there is no such embodiment.
-    """
-    check_embodiment(source, "source")
