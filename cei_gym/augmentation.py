@@ -4,7 +4,7 @@ The objects stand displaced by T_i from the first frame on; the source's hand go
 is with them as it was recorded once L is 1.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,20 +47,23 @@ class Handling:
         held: (T,) whether it holds something.
         middle_world: (T, 3) middle of its pads, m.
         T_world_hand: (T, 4, 4) pose of its root: what is held moves with it.
+        touched: (T,) whether its pads are at something, of a hand that never holds anything and of which clouds show what is there; else nowhere.
     """
 
     held: Array
     middle_world: Array
     T_world_hand: Array
+    touched: Array
 
     @property
     def approach(self) -> int:
-        """Frames before something is held for the first time; all of them where nothing ever is."""
-        return int(self.held.argmax()) if self.held.any() else len(self.held)
+        """Frames before something is held, or, where nothing ever is, touched for the first time; all of them where neither is ever."""
+        handled = self.held if self.held.any() else self.touched
+        return int(handled.argmax()) if handled.any() else len(handled)
 
     @property
     def place_world(self) -> Array:
-        """(3,) where it first takes hold, or ends, m."""
+        """(3,) where it first takes hold, or touches something, or ends, m."""
         return self.middle_world[min(self.approach, len(self.held) - 1)]
 
 
@@ -73,6 +76,13 @@ def grid_offsets(positions: tuple[int, int], extent_m: tuple[float, float]) -> l
     """
     x, y = (np.linspace(-e / 2, e / 2, n) if n > 1 else np.zeros(1) for n, e in zip(positions, extent_m, strict=True))
     return [Offset(float(a), float(b)) for a in x for b in y]
+
+
+def anchored(anchors: Sequence[Offset], around: Sequence[Offset]) -> list[Offset]:
+    """Offsets by each anchor, and around each of them by what is around no offset."""
+    return [
+        replace(near, x_m=anchor.x_m + near.x_m, y_m=anchor.y_m + near.y_m) for anchor in anchors for near in around
+    ]
 
 
 def ramp(frames: int, whole: float) -> Array:

@@ -12,6 +12,8 @@ import pytest
 
 SLOW = {
     "test_main_job": 110,
+    "test_anchors_and_modes": 90,
+    "test_real_benchmark": 90,
     "test_benchmark_command": 80,
     "test_resume": 70,
     "test_bad_input": 60,

@@ -13,7 +13,7 @@ from conversions import record_cubes, records, same
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from cei_converters import convert, replay, view
+from cei_converters import convert, record, replay, view
 from cei_converters.conversion import shard
 from cei_converters.conversion.augment import Augmentation, AugmentOptions
 from cei_converters.dataset import schema
@@ -25,6 +25,7 @@ from cei_gym.alignment import InitialisationOptions
 from cei_gym.augmentation import (
     Handling,
     Offset,
+    anchored,
     boxes_of_state,
     carried_box,
     displace,
@@ -48,12 +49,12 @@ OFFSET, ABOUT = Offset(0.07, -0.04, 0.5), np.array([0.3, 0.1, 0.8])
 CUBE = tuple(f"cube.{e}" for e in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "half_x_m", "half_y_m", "half_z_m"))
 
 
-def handling(held: list[int], frames: int = FRAMES) -> Handling:
+def handling(held: list[int], frames: int = FRAMES, touched: list[int] | None = None) -> Handling:
     """A hand that rises by 1 cm a frame, and turns, over the origin."""
     T = np.tile(np.eye(4), (frames, 1, 1))
     T[:, 2, 3] = 0.01 * np.arange(frames)
     T[:, :3, :3] = Rotation.from_rotvec(np.outer(np.arange(frames), [0, 0, 0.1])).as_matrix()
-    return Handling(np.isin(np.arange(frames), held), T[:, :3, 3], T)
+    return Handling(np.isin(np.arange(frames), held), T[:, :3, 3], T, np.isin(np.arange(frames), touched or []))
 
 
 # -- geometry ------------------------------------------------------------------------------------------------------------
@@ -86,6 +87,18 @@ def test_a_grid_is_even_and_around_the_recorded_place() -> None:
     places = [(o.x_m, o.y_m) for o in grid_offsets((3, 2), (0.2, 0.1))]
     assert places == [(-0.1, -0.05), (-0.1, 0.05), (0.0, -0.05), (0.0, 0.05), (0.1, -0.05), (0.1, 0.05)]
     assert grid_offsets((1, 1), (0.2, 0.2)) == [Offset(0.0, 0.0)]
+
+
+def test_around_each_anchor_is_the_same_grid() -> None:
+    around = grid_offsets((1, 2), (0.2, 0.1))
+    places = [(o.x_m, o.y_m) for o in anchored([Offset(0.2, 0.0), Offset(-0.1, 0.3)], around)]
+    np.testing.assert_allclose(places, [(0.2, -0.05), (0.2, 0.05), (-0.1, 0.25), (-0.1, 0.35)], atol=1e-12)
+
+
+def test_the_approach_ends_where_the_hand_takes_hold_or_else_first_touches_something() -> None:
+    assert [handling(*given).approach for given in (([4, 5], 10, [2]), ([], 10, [2, 3]), ([], 10))] == [4, 2, 10]
+    np.testing.assert_allclose(handling([], 10, [2, 3]).place_world, [0, 0, 0.02])
+    np.testing.assert_allclose(handling([], 10).place_world, [0, 0, 0.09])
 
 
 def test_a_moved_state_is_that_of_the_moved_object() -> None:
@@ -189,6 +202,22 @@ def test_the_hand_goes_from_where_it_was_to_where_objects_are(demonstration: Dem
     np.testing.assert_allclose(after[0], before[0], atol=2e-3)
     T = displacement(offset, hand.place_world)
     np.testing.assert_allclose(after[-1], before[-1] @ T[:3, :3].T + T[:3, 3], atol=5e-3)
+
+
+def test_clouds_show_when_a_hand_that_holds_nothing_is_at_something(
+    demonstration: Demonstration, transfer: Callable
+) -> None:
+    t, d = transfer(), demonstration
+    assert not t.handling(d).touched.any()  # all is far off
+    points, _ = t.source_representation.place(KinematicTree(t.source).forward(d.qpos))
+    tip = points[6, points[6, :, 2].argmin()]
+    below = tip - [0, 0, 0.01] + np.random.default_rng(1).uniform([-0.01, -0.01, -0.01], [0.01, 0.01, 0.0], (60, 3))
+    beside = replace(d, point_cloud_world=np.concatenate([d.point_cloud_world, np.tile(below, (FRAMES, 1, 1))], axis=1))
+    touched = t.handling(beside).touched
+    assert touched[6]
+    assert not touched[0]
+    assert t.handling(beside).approach == touched.argmax()
+    assert not t.handling(replace(d, point_cloud_world=None)).touched.any()
 
 
 def test_only_the_objects_points_move(demonstration: Demonstration, transfer: Callable) -> None:
@@ -333,6 +362,9 @@ def test_pictures_are_left_out_and_those_of_objects_say_which_points_they_are(
     ("options", "code", "message"),
     [
         (["--augment.range=0.1,0.1"], 2, "of no use without --augment.grid"),
+        (["--augment.anchors=0,0;0.1,0", "--augment.range=0.1,0.1"], 2, "--augment.range is of no use without"),
+        (["--augment.anchors=0,0;0.1"], 2, "--augment.anchors=0.1 should read like 0.2,0"),
+        (["--augment.anchors=0,0;0,nan"], 2, "--augment.anchors=0,nan should read like 0.2,0"),
         (["--augment.grid=10"], 2, "--augment.grid=10 should read like 10,10"),
         (["--augment.grid=1.5,2"], 2, "--augment.grid=1.5,2: whole numbers of places"),
         (["--augment.grid=0,2"], 2, "--augment.grid=0,2: whole numbers of places"),
@@ -383,3 +415,18 @@ def test_cubes_elsewhere_are_picked_from_the_starts_that_the_dataset_has(tmp_pat
         assert np.linalg.norm(top[:, :2] - state[0, :2], axis=1).max() < 0.035  # nothing is left where it was
         assert len(top) > 5  # of the cube
     env.close()
+
+
+def test_buttons_at_anchors_are_pressed(tmp_path: Path) -> None:
+    """The demonstration goes back up at its end: a ramp over all of it would be under way as the button is met."""
+    source = ["--repo_id=me/source", f"--root={tmp_path / 'source'}"]
+    assert record.main(["--env=CEI-PressButton-Panda-PandaGripper", "--episodes=1", *source]) == 0
+    args = ["--dataset.repo_id=me/source", f"--dataset.root={tmp_path / 'source'}", "--target=UR5e-FourierRight"]
+    quick = ["--clouds.robot_points=2048", "--init.starts=64", "--init.basins=8", "--workers=1"]
+    new = ["--new_repo_id=me/target", f"--new_root={tmp_path / 'target'}", "--augment.anchors=0,-0.2;-0.15,0.1"]
+    assert convert.main([*args, *quick, *new]) == 0
+    options = ["--dataset.repo_id=me/target", f"--dataset.root={tmp_path / 'target'}", "--video_episodes=0"]
+    assert replay.main([*options, f"--json={tmp_path / 'replay.json'}"]) == 0
+    assert json.loads((tmp_path / "replay.json").read_text())["successes"] == 2
+    places = [record["offset"] for record in records(tmp_path / "target")]
+    assert [(place["x_m"], place["y_m"]) for place in places] == [(0.0, -0.2), (-0.15, 0.1)]

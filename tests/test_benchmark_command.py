@@ -22,10 +22,12 @@ from PIL import Image
 
 import cei_gym
 from cei_converters.benchmark import command, jobs, paper
-from cei_converters.benchmark.cells import END_EFFECTORS, TABLES, TASKS, Cell, all_cells
+from cei_converters.benchmark.cells import END_EFFECTORS, SOURCE, TABLES, TARGETS, TASKS, Cell, all_cells, own_tasks
 from cei_converters.benchmark.figures import Manifest
 from cei_converters.benchmark.heat_map import write_heat_map
-from cei_converters.benchmark.results import Results
+from cei_converters.benchmark.results import Results, source_of
+from cei_converters.benchmark.robots import beyond_the_paper, finished_robots, robot_cells, robots_markdown
+from cei_converters.benchmark.robots import rows as rows_of
 from cei_converters.benchmark.runner import Job, run_jobs
 from cei_converters.benchmark.tables import averages, markdown, shown
 from cei_converters.cli import DatasetConfig
@@ -167,11 +169,12 @@ def test_any_robot_has_a_table_without_the_paper_and_a_stopped_run_goes_on(
         ),
         (
             ("--targets=IIWA-PandaGripper", "--tables=main"),
-            "--tables=main are the paper's, which has not all of --targets",
+            "--tables=main are the paper's, which have no place for these targets",
         ),
         (("--targets=IIWA-PandaGripper", "--tasks=Fly"), "unknown task 'Fly'. Valid: OpenDrawer, PickCube, StackCube"),
         (("--targets=IIWA-PandaGripper", "--source=Me"), "unknown source 'Me', "),
-        (("--source=IIWA-PandaGripper",), "--source=IIWA-PandaGripper is for targets that are not the paper's"),
+        (("--source=IIWA-PandaGripper", "--tables=main"), "have no place for these targets, tasks or this source"),
+        (("--tasks=PushCube", "--tables=main"), "--tables=main are the paper's, which have no place for these targets"),
     ],
 )
 def test_what_is_asked_of_robots_is_checked(
@@ -179,6 +182,41 @@ def test_what_is_asked_of_robots_is_checked(
 ) -> None:
     assert command.main(["replay", *options, *folders(tmp_path)]) != 0
     assert message in complaint()
+
+
+def test_tasks_and_sources_that_the_paper_does_not_have_give_a_table_without_it() -> None:
+    assert {"PushCube", "PlaceBird"} < {*own_tasks()} and not {*own_tasks()} & {*TASKS}
+    for tasks, source in ((None, SOURCE), ("PickCube,PushCube", SOURCE)):
+        assert beyond_the_paper("IIWA-Inspire", tasks, source) == beyond_the_paper(None, tasks, source) == []
+    for tasks, source in (("PushCube", SOURCE), (None, "UR5e-PandaGripper")):
+        assert beyond_the_paper("[IIWA-Inspire, IIWA-Inspire]", tasks, source) == ["IIWA-Inspire"]
+        assert beyond_the_paper(None, tasks, source) == [*TARGETS]
+    cells = robot_cells("PushCube,PickCube", ["IIWA-Inspire", "UR5e-PandaGripper"], "UR5e-PandaGripper")
+    targets = ("UR5e-PandaGripper", "IIWA-Inspire")
+    assert cells == [Cell(task, target) for task in ("PushCube", "PickCube") for target in targets]
+
+
+def test_cells_of_several_sources_stand_in_one_table_and_are_not_taken_for_each_other(
+    tmp_path: Path, complaint: Callable[[], str]
+) -> None:
+    placed = {"PushCube": "UR5e-PandaGripper", "PickCube": SOURCE}
+    for task, source in placed.items():
+        results = Results(tmp_path, range(3, 4), source)
+        for target in (source, "IIWA-Inspire"):
+            result = made_up(20, 20) | {"seconds": {"replay": 1.0}}
+            results.write(Cell(task, target), result)
+    unsaid = tmp_path / "PickCube-IIWA-Inspire.json"  # as they were made before there were other sources
+    unsaid.write_text(
+        json.dumps({key: value for key, value in json.loads(unsaid.read_text()).items() if key != "source"})
+    )
+    found = finished_robots(Results(tmp_path, range(3, 4)))
+    assert {(cell.task, source_of(result)) for cell, result in found.items()} == {*placed.items()}
+    text = robots_markdown(rows_of(found), ["c"])
+    assert "| IIWA-Inspire | 20/20 | 20/20 |" in text and "| UR5e-PandaGripper |  | 20/20 * |" in text
+    assert "of Panda-PandaGripper (PickCube) and UR5e-PandaGripper (PushCube), converted" in text
+    options = ["replay", "--tasks=PushCube", "--targets=IIWA-Inspire", "--episodes=1", "--seed=3"]
+    assert command.main([*options, f"--results={tmp_path}", f"--work={tmp_path / 'work'}"]) == 1
+    assert "other settings (source: UR5e-PandaGripper, here Panda-PandaGripper)" in complaint()
 
 
 def test_joints_are_those_of_a_plain_conversion(folder: Path) -> None:
@@ -248,7 +286,7 @@ def test_an_unknown_benchmark_lists_the_valid_ones(capsys: pytest.CaptureFixture
     assert command.main(["polcy"]) == 2
     assert (
         capsys.readouterr().err
-        == "error: unknown benchmark 'polcy'. Did you mean 'policy'? Valid: policy, replay, results.\n"
+        == "error: unknown benchmark 'polcy'. Did you mean 'policy'? Valid: anchors, modes, policy, real, replay, results.\n"
     )
 
 
@@ -271,7 +309,7 @@ def test_cells_are_those_of_the_papers_tables() -> None:
     assert len(TABLES["main"]) == 3 * (16 + 1)
     assert len(TABLES["ablation"]) == 3 * 4 * 5
     assert len(TABLES["sensitivity"]) == 3
-    assert len(all_cells()) == 51 + 3 * 4 * 4 + 2
+    assert len([cell for cell in all_cells() if cell.task in TASKS]) == 51 + 3 * 4 * 4 + 2
 
 
 @pytest.mark.skipif(not PAPER.exists(), reason="needs ../shared/paper")

@@ -140,7 +140,7 @@ def test_a_transfer_keeps_what_is_of_the_world_and_drops_what_is_of_the_source()
 
 def test_what_a_hand_feels_stays_where_objects_are_moved() -> None:
     made = demonstration()
-    handling = Handling(np.zeros(T, bool), np.zeros((T, 3)), np.tile(np.eye(4), (T, 1, 1)))
+    handling = Handling(np.zeros(T, bool), np.zeros((T, 3)), np.tile(np.eye(4), (T, 1, 1)), np.zeros(T, bool))
     moved = displace(made, handling, Offset(0.1, 0.0, 0.0), whole=3)
     np.testing.assert_array_equal(moved.wrench, made.wrench)  # pyright: ignore
     np.testing.assert_allclose(moved.environment_state[:, 0], made.environment_state[:, 0] + 0.1)  # pyright: ignore

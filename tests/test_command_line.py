@@ -9,7 +9,10 @@ import pytest
 
 from cei_converters import convert, pads, record, replay, view
 from cei_converters.benchmark import command as benchmark
+from cei_converters.benchmark.anchors import AnchorsConfig
+from cei_converters.benchmark.modes import ModesConfig
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
+from cei_converters.benchmark.real import RealBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types, parse, run
 from cei_converters.conversion.config import ConvertConfig
@@ -216,6 +219,9 @@ CONFIGS: dict[str, tuple[type, Callable, list[str]]] = {
     "pads": (pads.PadsConfig, pads.main, ["--end_effector=Inspire", "--output=a.png"]),
     "view": (ViewConfig, view.main, ["--dataset.repo_id=a/b"]),
     "benchmark replay": (ReplayBenchmarkConfig, lambda args: benchmark.main(["replay", *args]), []),
+    "benchmark real": (RealBenchmarkConfig, lambda args: benchmark.main(["real", *args]), []),
+    "benchmark anchors": (AnchorsConfig, lambda args: benchmark.main(["anchors", *args]), []),
+    "benchmark modes": (ModesConfig, lambda args: benchmark.main(["modes", *args]), []),
     "benchmark policy": (PolicyBenchmarkConfig, lambda args: benchmark.main(["policy", *args]), []),
 }
 
@@ -294,6 +300,14 @@ def test_no_value_of_any_option_is_more_than_one_line(
         ("benchmark replay", ["--seed=-1"], "--seed=-1 should be at least 0."),
         ("benchmark replay", ["--redraw", "--jobs=2"], "--redraw runs nothing"),
         ("benchmark policy", ["--variation=2"], "--variation=2"),
+        ("benchmark real", ["--trials=0"], "--trials=0 should be at least 1."),
+        ("benchmark real", ["--redraw", "--films"], "--redraw runs nothing; leave out --jobs, --stage and --films."),
+        (
+            "benchmark real",
+            ["--films", "--stage=policy"],
+            "--films shows what is replayed, which --stage=policy does not",
+        ),
+        ("benchmark real", ["--stage=replays"], "unknown --stage 'replays'. Did you mean 'replay'?"),
     ],
     ids=str,
 )

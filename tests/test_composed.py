@@ -313,7 +313,7 @@ def test_robosuite_says_where_its_robots_stand() -> None:
         ),
         (
             "CEI-PickCubes-LabArm-LabHand",
-            "unknown task 'PickCubes'. Did you mean 'PickCube'? Valid: OpenDrawer, PickCube, StackCube. The robot LabArm-LabHand is known: ",
+            "unknown task 'PickCubes'. Did you mean 'PickCube'? Valid: OpenDrawer, PickCube, StackCube, PushCube, ",
         ),
         ("CEI-PickCubes-LabArm-LabHand", "/arms/LabArm.yaml, "),
         ("CEI-PickCubes-Panda-LabHand", "The robot Panda-LabHand is known: "),

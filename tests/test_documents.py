@@ -10,8 +10,11 @@ from malformed import corpus
 from smoke import documents
 
 from cei_converters import record, replay, restore
+from cei_converters.benchmark.anchors import AnchorsConfig
 from cei_converters.benchmark.listing import ResultsConfig
+from cei_converters.benchmark.modes import ModesConfig
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
+from cei_converters.benchmark.real import RealBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types
 from cei_converters.conversion.config import ConvertConfig
@@ -45,6 +48,9 @@ OPTIONS = {
         "cei-robot show": ShowConfig,
         "cei-robot list": ListConfig,
         "cei-benchmark replay": ReplayBenchmarkConfig,
+        "cei-benchmark real": RealBenchmarkConfig,
+        "cei-benchmark anchors": AnchorsConfig,
+        "cei-benchmark modes": ModesConfig,
         "cei-benchmark policy": PolicyBenchmarkConfig,
         "cei-benchmark results": ResultsConfig,
     }.items()

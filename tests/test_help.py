@@ -6,7 +6,10 @@ import pytest
 
 from cei_converters import convert, pads, record, replay, restore, view
 from cei_converters.benchmark import command
+from cei_converters.benchmark.anchors import AnchorsConfig
+from cei_converters.benchmark.modes import ModesConfig
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
+from cei_converters.benchmark.real import RealBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types
 from cei_converters.conversion.config import ConvertConfig
@@ -22,6 +25,9 @@ COMMANDS = {
     "pads": (pads.main, ["--help"], pads.PadsConfig),
     "view": (view.main, ["--help"], ViewConfig),
     "benchmark policy": (command.main, ["policy", "--help"], PolicyBenchmarkConfig),
+    "benchmark real": (command.main, ["real", "--help"], RealBenchmarkConfig),
+    "benchmark anchors": (command.main, ["anchors", "--help"], AnchorsConfig),
+    "benchmark modes": (command.main, ["modes", "--help"], ModesConfig),
     "benchmark replay": (command.main, ["replay", "--help"], ReplayBenchmarkConfig),
 }
 

@@ -20,6 +20,7 @@ from PIL import Image
 from cei_converters import convert, pads, record, replay, view
 from cei_converters.benchmark import command as benchmark
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
+from cei_converters.benchmark.real import RealBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types
 from cei_converters.cli.outputs import ASKED_PICTURE, JOINT_MAP, JSON, PICTURE, RECORDING, VIDEO, Kind, Output, Outputs
@@ -114,7 +115,7 @@ def test_every_option_that_names_a_file_to_write_is_here() -> None:
     for name, (_, _, config) in COMMANDS.items():
         paths = {option for option, hint in option_types(config).items() if "Path" in str(hint)}
         assert paths - NOT_WRITTEN == {option for command, option in FILES if command == name}, name
-    for config in (ReplayBenchmarkConfig, PolicyBenchmarkConfig):
+    for config in (ReplayBenchmarkConfig, PolicyBenchmarkConfig, RealBenchmarkConfig):
         assert {option for option, hint in option_types(config).items() if "Path" in str(hint)} == {"results", "work"}
 
 
@@ -474,7 +475,8 @@ def test_recordings_and_conversions_do_not_take_each_others_folders(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("name", "file"), [("replay", "replay.md"), ("replay", "heat_map.png"), ("policy", "policy.csv")]
+    ("name", "file"),
+    [("replay", "replay.md"), ("replay", "heat_map.png"), ("policy", "policy.csv"), ("real", "real.md")],
 )
 def test_a_folder_that_is_somebody_elses_gets_no_results(
     name: str, file: str, here: Path, capsys: pytest.CaptureFixture

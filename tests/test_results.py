@@ -41,7 +41,8 @@ def checkout(tmp_path: Path) -> Path:
 
 
 def folder_of(name: str) -> str:
-    return name.split("/")[-1].split()[-1].removesuffix(".py")
+    """A benchmark's name; of one with stages, and the stage."""
+    return "_".join(name.split("/")[-1].removeprefix("cei-benchmark ").removesuffix(".py").split(" --stage="))
 
 
 def older(checkout: Path) -> dict[str, tuple[str, ...]]:
@@ -113,16 +114,19 @@ def test_documents_name_the_commit_of_each_figure_that_they_show() -> None:
 # -- what makes a figure older ----------------------------------------------------------------------------------------
 
 
-CONVERTING = {"replay", "policy", "augmentation", "scale", "transfer"}
+POLICIES = {"policy", *(f"{name}_policy" for name in ("real", "anchors", "modes"))}
+REPLAYS = {"replay", *(f"{name}_replay" for name in ("real", "anchors", "modes"))}
+CONVERTING = POLICIES | REPLAYS | {"augmentation", "scale", "transfer"}
 
 
 @pytest.mark.parametrize(
     ("path", "expected"),
     [
         ("benchmarks/first_frame.py", {"first_frame"}),
-        ("policies/lerobot_policy_dp3/unet.py", {"policy", "training"}),
+        ("policies/lerobot_policy_dp3/unet.py", POLICIES | {"training"}),
         ("converters/cei_converters/conversion/steps.py", CONVERTING),
-        ("cei_gym/wrapper.py", {"policy", "observation", "impersonation"}),
+        ("cei_gym/wrapper.py", POLICIES | {"observation", "impersonation"}),
+        ("cei_gym/augmentation.py", {"anchors_replay", "anchors_policy", "augmentation"}),
         ("cei_gym/errors.py", CONVERTING | {"direction_weight", "impersonation"}),
         ("converters/cei_converters/cli/table.py", set()),
     ],
@@ -358,7 +362,7 @@ def test_documents_are_marked_and_the_listing_says_where_marks_are_out_of_date(
     assert "cei_gym/wrapper.py" in captured.out
     assert shown in captured.out
     assert captured.err.count("\n") == 1
-    assert f"3 of {len(MEASURED)} figures are older than what they measure" in captured.err
+    assert f"6 of {len(MEASURED)} figures are older than what they measure" in captured.err
     assert document.read_text() == fresh
     assert command.main([*options, "--mark"]) == 0
     assert document.read_text() == text.format(names[0], "(`abc`)", names[1], f"(`abc`{OLDER})", names[2], "")

@@ -7,11 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems import home, problem_of
+from scipy.spatial.transform import Rotation
 
 from cei_gym.alignment import InitialisationOptions, Motion, SolverOptions, make_solver
 from cei_gym.alignment.follow import Follower
+from cei_gym.alignment.grip import Grip
+from cei_gym.alignment.problem import Track
 from cei_gym.alignment.solvers.newton import NewtonSolver
-from cei_gym.alignment.start.basins import Basin, choose_modes, judge_basins
+from cei_gym.alignment.start.basins import Basin, choose_modes, judge, judge_basins, kinds
 from cei_gym.alignment.start.starts import elite_starts, find_basins, random_starts, unwrap
 from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance
@@ -158,6 +161,10 @@ def test_a_drawer_opens_in_two_ways(name: str, method: str) -> None:
     tracks = [follower.follow(replace(motion, u0=mode.u)) for mode in modes]
     one, two = (track.u for track in tracks)
     assert np.abs(one - two).max(axis=1).min() > 0.4
+    root = problem.embodiment.end_effector_root
+    hands = [problem.tree.forward(problem.embodiment.coupled.expand(u))[:, root, :3, :3] for u in (one, two)]
+    turned = (Rotation.from_matrix(hands[0]) * Rotation.from_matrix(hands[1]).inv()).magnitude()
+    assert turned.min() > np.radians(45)  # it is the hand that does something else
     lower, upper = problem.embodiment.independent_limits
     for mode, track in zip(modes, tracks, strict=True):
         assert ((track.u >= lower) & (track.u <= upper)).all()
@@ -169,13 +176,42 @@ def test_a_drawer_opens_in_two_ways(name: str, method: str) -> None:
         assert np.abs(np.diff(track.u, axis=0)).max() < 0.16
 
 
-def basin(u: float, u_last: float, cost: float) -> Basin:
-    return Basin(np.array([u]), cost, cost, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.array([u_last]))
+def basin(yaw_deg: float, last_deg: float, cost: float, x_m: float = 0.0) -> Basin:
+    """One whose hand is turned about the vertical, where the motion starts and where it ends, or stands elsewhere."""
+    hands = np.tile(np.eye(4), (2, 1, 1))
+    hands[:, :3, :3] = Rotation.from_euler("z", [[yaw_deg], [last_deg]], degrees=True).as_matrix()
+    hands[:, 0, 3] = x_m
+    return Basin(np.zeros(1), cost, cost, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, hands)
 
 
-def test_modes_differ_at_both_ends_and_cost_about_the_same() -> None:
-    best = basin(0.0, 0.0, 0.0)
-    merges, worse, other = basin(2.0, 0.1, 0.001), basin(3.0, 3.0, 0.5), basin(1.0, 1.0, 0.002)
+def test_modes_differ_in_what_hands_do_at_both_ends_and_cost_about_the_same() -> None:
+    best = basin(0, 0, 0.0)
+    merges, worse, other = basin(120, 5, 0.001), basin(180, 180, 0.5), basin(170, 175, 0.002)
     assert choose_modes([best, merges, other, worse], 2) == [best, other]
     with pytest.raises(CEIError, match=r"init\.modes=3, but only 2 distinct good motions were found"):
         choose_modes([best, merges, other, worse], 3)
+    away = basin(0, 0, 0.003, x_m=0.2)
+    assert choose_modes([best, merges, other, away], 3) == [best, other, away]
+
+
+def test_basins_are_of_a_kind_where_hands_meet() -> None:
+    best, near, merges, other = basin(0, 0, 0.0), basin(30, 30, 0.1), basin(120, 5, 0.2), basin(180, 180, 0.3)
+    assert kinds([best, near, merges, other]) == [[best, near, merges], [other]]
+
+
+def test_a_hand_that_comes_from_the_other_side_than_the_sources_costs_more() -> None:
+    problem = problem_of("UR5e-PandaGripper")
+    follower, u = Follower(problem, OPTIONS), home(problem)
+    points, normals = (np.tile(each, (4, 1, 1)) for each in problem.place(u))
+    root = problem.tree.forward(problem.embodiment.coupled.expand(u))[problem.embodiment.end_effector_root, :3, 3]
+    away, costs = root - points[0].mean(axis=0), []
+    for side in (1, -1):
+        at = np.tile(points[0].mean(axis=0) + side * away, (4, 1))
+        grip = Grip(
+            np.tile([1.0, 0, 0], (4, 1)), np.zeros((4, 2, 3)), at, np.tile(np.eye(3), (4, 1, 1)), np.zeros(4, bool)
+        )
+        motion = Motion(points, normals, u, dt_s=0.05, grip=grip)
+        found = judge(follower, [motion], u, [Track(np.tile(u, (4, 1)), np.zeros(4), np.zeros(4))])
+        assert found.side == pytest.approx((1 - side) / 2, abs=1e-6)
+        costs.append(found.cost)
+    assert costs[1] - costs[0] == pytest.approx(0.02, abs=1e-6)

@@ -11,7 +11,7 @@ from cei_gym.alignment.judge.report import AlignmentReport, make_report
 from cei_gym.alignment.options import ContactOptions, SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 from cei_gym.alignment.retime import retime
-from cei_gym.alignment.start.basins import Basin, choose_modes, judge, judge_basins
+from cei_gym.alignment.start.basins import Basin, are_apart, choose_modes, judge, judge_basins, kinds
 from cei_gym.alignment.start.starts import InitialisationOptions, find_basins
 from cei_gym.arrays import Array
 
@@ -82,8 +82,12 @@ class Following:
         """
         first = motions[0]
         starts = find_basins(self._problem, self._options, first.points_base[0], first.normals_base[0], self._init)
-        # The first demonstration rules most candidates out; the rest decide among the few that are left.
-        few = judge_basins(self._follower, motions[:1], starts, refine=False)[: _FINALISTS * self._init.modes]
+        # The first demonstration rules most candidates out; the rest decide among the few that are left, of which each motion that is wanted
+        # should have some.
+        judged = judge_basins(self._follower, motions[:1], starts, refine=False)
+        few = judged[: _FINALISTS * self._init.modes]
+        for kind in kinds(judged)[: self._init.modes]:
+            few += [basin for basin in kind[:_FINALISTS] if basin not in few]
         self.start_from(judge_basins(self._follower, motions, np.array([b.u for b in few])))
 
     def start_from(self, finalists: Sequence[Basin]) -> None:
@@ -101,14 +105,28 @@ class Following:
         return [i for i, basin in enumerate(self.finalists) if basin is not own]
 
     def follow(self, motion: Motion, mode: int) -> tuple[Followed, AlignmentReport]:
-        """Follow a motion from its mode's basin, or from the best of the others where that goes wrong."""
-        best = self._follow_from(self.basins[mode % len(self.basins)], motion)
+        """Follow a motion from its mode's basin, or from the best of its kind where that goes wrong: episodes of a dataset share a way, but for
+        those that only another one reaches."""
+        own = self.basins[mode % len(self.basins)]
+        best = self._follow_from(own, motion)
         report = self.report(best.motion, best.track)
-        if report.unreachable_frames or best.wrong:
-            every = [best, *(self._follow_from(other, motion) for other in self.finalists)]
-            best = min(every, key=lambda followed: followed.basin.cost)
-            report = self.report(best.motion, best.track)
+        if not (report.unreachable_frames or best.wrong):
+            return best, report
+        like = [each for each in self.finalists if not are_apart(own, each)]
+        best = self._best([best], like, motion)
+        report = self.report(best.motion, best.track)
+        if report.unreachable_frames and len(self.basins) == 1:
+            other = self._best([best], [each for each in self.finalists if each not in like], motion)
+            reached = self.report(other.motion, other.track)
+            if len(reached.unreachable_frames) < len(report.unreachable_frames):
+                return other, reached
         return best, report
+
+    def _best(self, followed: list[_FollowedFrom], others: Sequence[Basin], motion: Motion) -> _FollowedFrom:
+        """The one that costs least, of those followed already and those followed from others."""
+        return min(
+            [*followed, *(self._follow_from(other, motion) for other in others)], key=lambda each: each.basin.cost
+        )
 
     def follow_from(self, finalist: int, motion: Motion) -> tuple[Followed, AlignmentReport]:
         """Follow a motion from one of the finalists, whatever comes of it."""

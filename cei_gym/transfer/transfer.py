@@ -197,7 +197,12 @@ class Transfer:
         T_world_target = self._side.T_world_target(demonstration)
         held = np.zeros(len(demonstration), bool) if motion.grip is None else motion.grip.held
         middle = motion.points_base.mean(axis=1) @ T_world_target[:3, :3].T + T_world_target[:3, 3]
-        return Handling(held, middle, T_world_target @ self._side.hand(demonstration))
+        hand = self._side.hand(demonstration)
+        touched = np.zeros(len(held), bool)
+        if not held.any():  # where something is, that begins it
+            scenes = self._scenes.without_source(demonstration)
+            touched = self._scenes.touched(demonstration, scenes, motion, T_world_target, hand)
+        return Handling(held, middle, T_world_target @ hand, touched)
 
     def motion(self, demonstration: Demonstration, scenes: Sequence[Array] = ()) -> Motion:
         """What the source's pads do, in the target's base frame; it starts from the target's home.

@@ -85,7 +85,7 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
         "physics": stage.physics.record(),
         "episodes": len(results),
         "successes": sum(entry["success"] for entry in results),
-        "interval_95": _wilson(sum(entry["success"] for entry in results), len(results)),
+        "interval_95": wilson(sum(entry["success"] for entry in results), len(results)),
         "failures": dict(Counter(entry["failure"] for entry in results if not entry["success"])),
         "video": None if film is None else str(film.video),
         "results": results,
@@ -161,7 +161,8 @@ def _write_films(film: _Film, films: list[Any], fps: float) -> None:
         Image.fromarray(contact_sheet(*films[0])).save(partial, format="PNG")
 
 
-def _wilson(successes: int, n: int) -> tuple[float, float]:
+def wilson(successes: int, n: int) -> tuple[float, float]:
+    """Between which shares a rate lies with 95 % confidence (Wilson), from `successes` of `n`."""
     from scipy.stats import binomtest
 
     interval = binomtest(successes, n).proportion_ci(0.95, method="wilson")

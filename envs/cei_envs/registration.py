@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import cache
 
 import gymnasium as gym
+from gymnasium.envs.registration import EnvSpec
 
 GROUP = "cei_gym.tasks"
 """Entry points by which packages offer tasks of their own: each names a `Task`, in a module that is quick to import."""
@@ -33,15 +34,39 @@ class Task:
 
 
 _GRIPPER = "PandaGripper"
+_GRIPPERS = (_GRIPPER, "AG95")
+
+
+def _of_grippers(expert: str) -> dict[str, str]:
+    return dict.fromkeys(_GRIPPERS, f"cei_envs.experts.{expert}")
+
+
 OWN = (
     Task(
         "OpenDrawer",
         "cei_envs.tasks.open_drawer:OpenDrawerEnv",
-        {_GRIPPER: "cei_envs.experts.open_drawer:OpenDrawerExpert"},
+        {
+            _GRIPPER: "cei_envs.experts.open_drawer:OpenDrawerExpert",
+            "AG95": "cei_envs.experts.open_drawer:OpenDrawerPadExpert",
+        },
     ),
     Task("PickCube", "cei_envs.tasks.pick_cube:PickCubeEnv", {_GRIPPER: "cei_envs.experts.pick_cube:PickCubeExpert"}),
     Task(
         "StackCube", "cei_envs.tasks.stack_cube:StackCubeEnv", {_GRIPPER: "cei_envs.experts.stack_cube:StackCubeExpert"}
+    ),
+    Task("PushCube", "cei_envs.tasks.push_cube:PushCubeEnv", _of_grippers("push_cube:PushCubeExpert")),
+    Task("PlaceBird", "cei_envs.tasks.place_bird:PlaceBirdEnv", _of_grippers("place_bird:PlaceBirdExpert")),
+    Task("PressButton", "cei_envs.tasks.press_button:PressButtonEnv", _of_grippers("press_button:PressButtonExpert")),
+    Task("PickCup", "cei_envs.tasks.pick_cup:PickCupEnv", {"XHand": "cei_envs.experts.pick_cup:PickCupExpert"}),
+    Task(
+        "PackageBread",
+        "cei_envs.tasks.package_bread:PackageBreadEnv",
+        {"XHand": "cei_envs.experts.package_bread:PackageBreadExpert"},
+    ),
+    Task(
+        "InsertFlower",
+        "cei_envs.tasks.insert_flower:InsertFlowerEnv",
+        {"XHand": "cei_envs.experts.insert_flower:InsertFlowerExpert"},
     ),
 )
 
@@ -95,7 +120,8 @@ def register() -> None:
     for name in environment_ids():
         if name not in gym.registry:
             _, task, robot = name.split("-", 2)
-            gym.register(  # pyright: ignore[reportUnknownMemberType]  (Gymnasium does not say of what its `kwargs` are)
+            # What gym.register does, less its look at all others for each: of thousands that takes a second.
+            gym.registry[name] = EnvSpec(
                 name,
                 known[task].environment,
                 max_episode_steps=known[task].max_episode_steps,

@@ -30,6 +30,13 @@ from cei_gym.pointcloud import CloudOptions
 from lerobot_env_cei.processors import FlatClouds
 from lerobot_env_cei.workers import quick_start
 
+_OPTIONS = {
+    **{name: name for name in ("cameras", "depth_noise", "colours", "disable_env_checker")},
+    "max_episode_steps": "episode_length",
+    "render_mode": "render",
+}
+"""Arguments of environments that have options of their own."""
+
 
 @EnvConfig.register_subclass("cei")
 @dataclass
@@ -45,6 +52,7 @@ class CEIEnvConfig(EnvConfig):
             for yes, unless the dataset is no converted one.
         clouds: options of these clouds, as those of `cei-convert`; None for the dataset's, else the default.
         cameras, depth_noise, colours: see `cei_envs.environment.CEIEnv`.
+        arguments: others of the task's environment, by name, JSON such as {"middle_m": [0.0, 0.2]}; they win over the dataset's.
         episode_length: most steps of an episode.
         render: pictures for videos.
         features_map: entry of an observation, or `action`, to the name that policies know it by.
@@ -58,6 +66,7 @@ class CEIEnvConfig(EnvConfig):
     cameras: list[str] | None = None
     depth_noise: str | None = None
     colours: bool | None = None
+    arguments: dict[str, Any] = field(default_factory=dict[str, Any])
     episode_length: int = 400
     render: bool = True
     features_map: dict[str, str] = field(
@@ -82,6 +91,10 @@ class CEIEnvConfig(EnvConfig):
             self.augment = recorded is None or recorded.clouds is not None
         self._recorded = {} if recorded is None else recorded.environment.kwargs
         check_arguments(self.gym_id, self._recorded)
+        for name, option in _OPTIONS.items():
+            if name in self.arguments:
+                raise CEIError(f"--env.arguments has {name}, which --env.{option} is for.")
+        check_arguments(self.gym_id, self.arguments)
         self._augmentation = self.clouds or _recorded_clouds(recorded)
         task, name = self.task.split("-", 1)
         entry = cast(type[CEIEnv], load_env_creator(tasks()[task].environment))
@@ -106,6 +119,7 @@ class CEIEnvConfig(EnvConfig):
         given = {"cameras": self.cameras, "depth_noise": self.depth_noise, "colours": self.colours}
         return {
             **self._recorded,
+            **self.arguments,
             **{name: value for name, value in given.items() if value is not None},
             "max_episode_steps": self.episode_length,
             "render_mode": "rgb_array" if self.render else None,

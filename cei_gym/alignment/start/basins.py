@@ -10,26 +10,28 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cei_gym.alignment.follow import Follower
-from cei_gym.alignment.problem import Motion, Track
+from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 
 _PENETRATION_WEIGHT = 1.0  # metres of objective a metre of penetration
 _OVERLAP_WEIGHT = 0.5  # metres of objective a metre that a link is in an object
 _MISS_WEIGHT = 1.0  # metres of objective a metre between contact points and the source's
+_SIDE_WEIGHT = 0.02  # metres of objective for a hand that comes from the opposite side of the source's, where nobody knows what is in the way
 _TORQUE_WEIGHT = 0.3  # metres of objective for static torque a full limit above the allowed share: such an arm sinks
 _TORQUE_SHARE = 0.8
 _LAG_WEIGHT = 0.05  # metres of objective if some joint moves as fast as it can in all frames
 _MARGIN_WEIGHT = 0.01  # metres of objective if some arm joint is near a limit in all frames
 _NEAR_LIMIT_RAD = 0.05
-_APART_RAD = 0.5  # some joint of two modes differs by this much
-_WORSE_M = 0.01  # how much more than the best a further mode may cost
+_APART_RAD, _APART_M = np.pi / 3, 0.1  # the hands of two modes are turned, or away, by this much
+_WORSE_M = 0.015  # how much more than the best a further mode may cost
 _CHECKED_FRAMES = 20  # of each demonstration, for penetration and torque
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Basin:
     """A frame-0 solution and what following it through demonstrations costs.
 
@@ -39,12 +41,13 @@ class Basin:
         objective: metres; mean DCD over the demonstrations.
         penetration_m: deepest contact of the target with itself, the support surface or its stand.
         overlap_m: deepest a link is in an object that the cloud shows, but for pads in what is gripped.
+        side: from 0, the hand is on the side of its pads that the source's is, to 1, it is on the opposite one; in the mean.
         contact_miss_m: how far contact points are from the source's while it holds something, in the mean.
         torque_share: largest static joint torque as a share of its limit.
         lag_share: share of frames in which a joint moves as fast as it can.
         limit_share: share of frames in which an arm joint is near one of its limits.
         joint_step_rad: largest joint step between frames.
-        u_last: (m,) independent joints where the first demonstration ends, rad or m.
+        hands_base: (2, 4, 4) where the end-effector's first link is as the first demonstration starts and as it ends.
     """
 
     u: Array
@@ -52,12 +55,13 @@ class Basin:
     objective: float
     penetration_m: float
     overlap_m: float
+    side: float
     contact_miss_m: float
     torque_share: float
     lag_share: float
     limit_share: float
     joint_step_rad: float
-    u_last: Array
+    hands_base: Array
 
 
 def judge_basins(follower: Follower, motions: Sequence[Motion], basins: Array, refine: bool = True) -> list[Basin]:
@@ -76,7 +80,7 @@ def judge_basins(follower: Follower, motions: Sequence[Motion], basins: Array, r
 
 
 def choose_modes(basins: Sequence[Basin], modes: int) -> list[Basin]:
-    """The best basin, then the best that differ from those chosen where motions start and still where they end.
+    """The best basin, then the best whose hands do something else than those chosen, all the way.
 
     Args:
         basins: judged, best first.
@@ -85,21 +89,33 @@ def choose_modes(basins: Sequence[Basin], modes: int) -> list[Basin]:
     Raises:
         CEIError: there are fewer that are as free of penetration and nearly as close as the best.
     """
-
-    def apart(a: Basin, b: Basin) -> bool:
-        return min(np.abs(a.u - b.u).max(), np.abs(a.u_last - b.u_last).max()) > _APART_RAD
-
-    chosen = [basins[0]]
-    for basin in basins[1:]:
-        valid = basin.cost - basins[0].cost < _WORSE_M
-        if len(chosen) < modes and valid and all(apart(basin, other) for other in chosen):
-            chosen.append(basin)
+    chosen = [kind[0] for kind in kinds(basins) if kind[0].cost - basins[0].cost < _WORSE_M][:modes]
     if len(chosen) < modes:
         raise CEIError(
-            f"init.modes={modes}, but only {len(chosen)} distinct good motions were found; ask for fewer, or raise "
-            "init.starts and init.basins."
+            f"init.modes={modes}, but only {len(chosen)} distinct good motions were found, whose hands are "
+            f"{np.degrees(_APART_RAD):.0f} degrees or {_APART_M:g} m apart; ask for fewer, or raise init.starts (init.draws with eis) and init.basins."
         )
     return chosen
+
+
+def kinds(basins: Sequence[Basin]) -> list[list[Basin]]:
+    """Basins by what their hands do, best first: those of a kind are like its best where motions start, or where they end."""
+    found: list[list[Basin]] = []
+    for basin in basins:
+        like = [kind for kind in found if not are_apart(kind[0], basin)]
+        if like:
+            like[0].append(basin)
+        else:
+            found.append([basin])
+    return found
+
+
+def are_apart(one: Basin, other: Basin) -> bool:
+    """Whether their hands differ, both as motions start and as they end."""
+    A, B = one.hands_base, other.hands_base
+    turned_rad = (Rotation.from_matrix(A[:, :3, :3]) * Rotation.from_matrix(B[:, :3, :3]).inv()).magnitude()
+    away_m = np.linalg.norm(A[:, :3, 3] - B[:, :3, 3], axis=1)
+    return bool(((turned_rad > _APART_RAD) | (away_m > _APART_M)).all())
 
 
 def judge(follower: Follower, motions: Sequence[Motion], u0: Array, tracks: Sequence[Track]) -> Basin:
@@ -110,7 +126,7 @@ def judge(follower: Follower, motions: Sequence[Motion], u0: Array, tracks: Sequ
     u = np.concatenate([t.u for t in tracks])
     near = np.minimum(u - lower, upper - u) < _NEAR_LIMIT_RAD
     step, lag, penetration, overlap, torque = 0.0, 0, 0.0, 0.0, 0.0
-    missed = []
+    missed, sides = [], []
     for motion, track in zip(motions, tracks, strict=True):
         moved = np.abs(np.diff(track.u, axis=0))
         step = max(step, float(moved.max(initial=0.0)))
@@ -121,6 +137,8 @@ def judge(follower: Follower, motions: Sequence[Motion], u0: Array, tracks: Sequ
         support_z = motion.surroundings.support_z_base_m if motion.surroundings else -np.inf
         deepest, hardest = follower.clearance.worst(qpos, support_z)
         overlap = max(overlap, float(follower.overlap_m(motion, track.u).max()))
+        if motion.grip is not None:
+            sides.append(_side(follower.problem, motion, track))
         if track.contact_miss_m is not None and motion.grip is not None:
             held = motion.grip.held if motion.grip.held.any() else np.ones(len(track.u), bool)
             missed.append(track.contact_miss_m[held].mean())
@@ -129,6 +147,23 @@ def judge(follower: Follower, motions: Sequence[Motion], u0: Array, tracks: Sequ
     lag_share, limit_share = lag / len(u), float(near[:, arm].any(axis=1).mean())
     cost = objective + _PENETRATION_WEIGHT * penetration + _TORQUE_WEIGHT * max(0.0, torque - _TORQUE_SHARE)
     miss = float(np.mean(missed)) if missed else 0.0
-    cost += _OVERLAP_WEIGHT * overlap + _MISS_WEIGHT * miss
+    side = float(np.mean(sides)) if sides else 0.0
+    cost += _OVERLAP_WEIGHT * overlap + _MISS_WEIGHT * miss + _SIDE_WEIGHT * side
     cost += _LAG_WEIGHT * lag_share + _MARGIN_WEIGHT * limit_share
-    return Basin(u0, cost, objective, penetration, overlap, miss, torque, lag_share, limit_share, step, tracks[0].u[-1])
+    ends = embodiment.coupled.expand(tracks[0].u[[0, -1]])
+    hands = follower.problem.tree.forward(ends)[:, embodiment.end_effector_root]
+    return Basin(u0, cost, objective, penetration, overlap, side, miss, torque, lag_share, limit_share, step, hands)
+
+
+def _side(problem: AlignmentProblem, motion: Motion, track: Track) -> float:
+    """How far hands are on opposite sides of pads: half of 1 less the cosine between the ways from their first links to the pads' middle, in the
+    mean over the frames that are checked."""
+    assert motion.grip is not None
+    frames = slice(None, None, max(1, len(track.u) // _CHECKED_FRAMES))
+    T_links = problem.tree.forward(problem.embodiment.coupled.expand(track.u[frames]))
+    points, _ = problem.representation.place(T_links)
+    target = points.mean(axis=1) - T_links[:, problem.embodiment.end_effector_root, :3, 3]
+    source = motion.points_base[frames].mean(axis=1) - motion.grip.position[frames]
+    cosine = np.einsum("ti,ti->t", target, source)
+    cosine /= np.maximum(np.linalg.norm(target, axis=1) * np.linalg.norm(source, axis=1), 1e-9)
+    return float((1 - cosine).mean() / 2)

@@ -25,17 +25,19 @@ class InitialisationOptions:
     Attributes:
         method: "multistart" (many random starts, each solved), "eis" (the paper's elite-based initialisation, section
             VII-B: the mean of the best tenth of random configurations, once a draw) or "given" (`qpos`).
-        modes: distinct motions wanted; episodes take turns.
+        modes: distinct motions wanted, in which the hand does something else; episodes take turns.
+        mode: the one of them that all episodes take, from 0, the best; None for turns.
         seed: of every random choice.
         starts: random configurations: solved each by "multistart", ranked by each draw of "eis".
         iterations: most iterations a start of "multistart".
         draws: means taken by "eis"; more find more modes.
-        basins: distinct solutions that are then judged on whole demonstrations.
+        basins: distinct solutions a mode that are then judged on whole demonstrations.
         qpos: joint positions that "given" starts from, in the target's order, rad or m.
     """
 
     method: str = "multistart"
     modes: int = 1
+    mode: int | None = None
     seed: int = 0
     starts: int = 512
     iterations: int = 30
@@ -51,6 +53,8 @@ class InitialisationOptions:
                 raise CEIError(f"init.{name}={getattr(self, name)} must be at least 1.")
             if getattr(self, name) > _MOST:
                 raise CEIError(f"init.{name}={getattr(self, name)} must be at most {_MOST}.")
+        if self.mode is not None and self.mode < 0:
+            raise CEIError(f"init.mode={self.mode} must be at least 0.")
         if self.seed < 0:
             raise CEIError(f"init.seed={self.seed} must be at least 0.")
         if (self.method == "given") != (self.qpos is not None):
@@ -72,7 +76,7 @@ def find_basins(
         points_base, normals_base: (N, 3) the source's representation at frame 0, target's base frame.
 
     Returns:
-        (K, m) independent joints, rad or m, within limits, 1 <= K <= options.basins.
+        (K, m) independent joints, rad or m, within limits, 1 <= K <= options.basins * options.modes.
 
     Raises:
         CEIError: `options.qpos` does not fit the target.
@@ -84,11 +88,12 @@ def find_basins(
         starts = elite_starts(problem, newton, points_base, normals_base, options)
     else:
         starts = random_starts(problem, options.starts, options.seed)
+    most = options.basins * options.modes
     found, objective = newton.solve_starts(points_base, normals_base, starts, options.iterations)
-    few = _distinct(unwrap(problem, found), objective, 2 * options.basins)
+    few = _distinct(unwrap(problem, found), objective, 2 * most)
     found, objective = newton.solve_starts(points_base, normals_base, found[few], _REFINE_ITERATIONS)
     found = unwrap(problem, found)
-    return found[_distinct(found, objective, options.basins)]
+    return found[_distinct(found, objective, most)]
 
 
 def active_joints(problem: AlignmentProblem) -> Array:

@@ -1,17 +1,14 @@
 """What there is to run: a cell is a task, a target and a variant of the method; tables are made of cells."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from cei_converters.benchmark import paper
-from cei_gym import plugins
 from cei_gym.embodiment import ARMS
 from cei_gym.errors import CEIError, unknown
 
 SOURCE = "Panda-PandaGripper"
 TASKS = tuple(paper.REPLAY)
-OFFERED = "cei_gym.tasks"
-"""Entry points of tasks that packages add; they go into the main table, without a figure of the paper, where they are asked for."""
 END_EFFECTORS = tuple(paper.REPLAY[TASKS[0]])
 TARGETS = tuple(f"{arm}-{end_effector}" for end_effector in END_EFFECTORS for arm in ARMS)
 NO_DIRECTION, NO_CONTACT = ["--solver.lambda_m=0"], ["--contact.opposition_weight=0", "--contact.squeeze_m=0"]
@@ -99,12 +96,17 @@ TABLES = {
 
 
 def own_tasks() -> list[str]:
-    """Tasks that installed packages add."""
-    return [name for name in plugins.offered(OFFERED) if name not in TASKS]
+    """Tasks that the paper's tables do not have: the project's others, and those that installed packages add.
+
+    They go into the main table, without a figure of the paper, where they are asked for beside the paper's.
+    """
+    from cei_converters.simulation.environment import task_names
+
+    return [name for name in task_names() if name not in TASKS]
 
 
 def all_cells() -> list[Cell]:
-    """Every cell of every table, each once, and those of tasks that packages add."""
+    """Every cell of every table, each once, and those of tasks that the paper does not have."""
     of_paper = (entry.cell for table in TABLES.values() for entry in table)
     return list(dict.fromkeys([*of_paper, *(entry.cell for task in own_tasks() for entry in main_entries(task))]))
 
@@ -115,9 +117,8 @@ def select(tables: str | None, tasks: str | None, targets: str | None) -> list[C
     Raises:
         CEIError: an unknown name (the message lists the valid ones), or nothing is left.
     """
-    wanted = _names("table", tables, TABLES)
-    wanted_tasks = list(TASKS) if tasks is None else _names("task", tasks, (*TASKS, *own_tasks()))
-    wanted_targets = [SOURCE, *_names("target", targets, TARGETS)]
+    wanted, wanted_tasks = listed("table", tables, TABLES), listed_tasks(tasks)
+    wanted_targets = [SOURCE, *listed("target", targets, TARGETS)]
     entries = [entry for name in wanted for entry in TABLES[name]]
     if "main" in wanted:
         entries += [entry for task in wanted_tasks if task not in TASKS for entry in main_entries(task)]
@@ -128,9 +129,33 @@ def select(tables: str | None, tasks: str | None, targets: str | None) -> list[C
     return list(cells)
 
 
-def _names(kind: str, text: str | None, valid: Iterable[str]) -> list[str]:
-    names = list(valid) if text is None else [name.strip() for name in text.strip("[] ").split(",")]
+def listed(kind: str, text: str | None, valid: Collection[str]) -> list[str]:
+    """The names of a list such as `a,b`, each once; all that are valid where there is none.
+
+    Args:
+        kind: what they are names of, for the message.
+        text: the list.
+        valid: names that there are.
+
+    Raises:
+        CEIError: a name is not valid; the message lists those that are.
+    """
+    names = [*valid] if text is None else split(text)
     for name in names:
         if name not in valid:
             raise unknown(kind, name, valid)
     return names
+
+
+def listed_tasks(tasks: str | None) -> list[str]:
+    """The tasks of a list, of whatever there are environments of; the paper's where there is none.
+
+    Raises:
+        CEIError: there is no such task.
+    """
+    return [*TASKS] if tasks is None else listed("task", tasks, (*TASKS, *own_tasks()))
+
+
+def split(text: str) -> list[str]:
+    """The names of a list such as `a,b` or `[a, b]`, each once."""
+    return list(dict.fromkeys(name.strip() for name in text.strip("[] ").split(",")))

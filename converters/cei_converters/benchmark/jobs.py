@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cei_converters.benchmark.cells import SOURCE, VARIANTS, Cell
-from cei_converters.cli import DatasetConfig, parse
+from cei_converters.cli import DatasetConfig, SourceConfig, parse
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.convert import convert
 from cei_converters.dataset.metadata import METADATA_PATH, Metadata
@@ -30,18 +30,34 @@ def record_source(task: str, folder: Path, seeds: range, source: str = SOURCE) -
     Raises:
         CEIError: it failed with all.
     """
-    root = _root(Cell(task, source), folder)
+    root = root_of(Cell(task, source), folder)
     if not _is_current(root):
         shutil.rmtree(root.parent, ignore_errors=True)
-        try:
-            record(RecordConfig(f"CEI-{task}-{source}", _repo_id(root), root, len(seeds), seeds[0]))
-        except CEIError:  # the expert failed; what did succeed is there
-            if not root.exists():
-                raise
-    return sorted(set(seeds) - set(_seeds(root)))
+        record_successes(RecordConfig(f"CEI-{task}-{source}", _repo_id(root), root, len(seeds), seeds[0]))
+    return sorted(set(seeds) - set(recorded_seeds(root)))
 
 
-def run_cell(cell: Cell, folder: Path, keep_dataset: bool, source: str = SOURCE, stock: bool = True) -> dict[str, Any]:
+def record_successes(config: RecordConfig) -> None:
+    """Record demonstrations, without those that the expert fails with.
+
+    Raises:
+        CEIError: it fails with all, or cannot be asked.
+    """
+    try:
+        record(config)
+    except CEIError:  # the expert failed; what did succeed is there
+        if config.root is None or not config.root.exists():
+            raise
+
+
+def recorded_seeds(root: Path) -> list[int]:
+    """The seeds of a recorded dataset's demonstrations."""
+    return [record["seed"] for record in Records(root)]
+
+
+def run_cell(
+    cell: Cell, folder: Path, keep_dataset: bool, source: str = SOURCE, stock: bool = True, film: Path | None = None
+) -> dict[str, Any]:
     """Convert the source's demonstrations and replay them; with stock physics too if the method is not varied.
 
     Args:
@@ -50,6 +66,7 @@ def run_cell(cell: Cell, folder: Path, keep_dataset: bool, source: str = SOURCE,
         keep_dataset: leave the cell's own there.
         source: whose demonstrations they are.
         stock: whether to replay with stock physics at all.
+        film: MP4 of one demonstration, source and target side by side, with a contact sheet (PNG) of the same name; None for none.
 
     Returns:
         The cell's JSON but for what `Results` and the command add.
@@ -57,9 +74,9 @@ def run_cell(cell: Cell, folder: Path, keep_dataset: bool, source: str = SOURCE,
     Raises:
         CEIError: as `convert` and `replay`.
     """
-    recorded, root = _root(Cell(cell.task, source), folder), _root(cell, folder)
+    recorded, root = root_of(Cell(cell.task, source), folder), root_of(cell, folder)
     seconds: dict[str, float] = {}
-    found: dict[str, Any] = {"source_seeds": _seeds(recorded)}
+    found: dict[str, Any] = {"source_seeds": recorded_seeds(recorded)}
     if root != recorded:
         shutil.rmtree(root.parent, ignore_errors=True)  # left by a run that was stopped
         options = [
@@ -75,12 +92,21 @@ def run_cell(cell: Cell, folder: Path, keep_dataset: bool, source: str = SOURCE,
     if stock and cell.variant == "cei":
         config = ReplayConfig(dataset, stock_physics=True, video_episodes=0)
         found["stock_replay"] = _timed(seconds, "stock_replay", lambda: replay(config))
+    if film is not None:
+        beside = SourceConfig(_repo_id(recorded), recorded)
+        replay(ReplayConfig(dataset, beside, episodes=_shown(found["replay"]), video=film, video_episodes=1))
     if root != recorded and not keep_dataset:
         shutil.rmtree(root.parent)
     return found | {"seconds": {k: round(s, 1) for k, s in seconds.items()}}
 
 
-def _root(cell: Cell, folder: Path) -> Path:
+def _shown(replayed: dict[str, Any]) -> str:
+    """The episode to film: the shortest that succeeds, or that there is."""
+    results = replayed["results"]
+    return str(min(results, key=lambda entry: (not entry["success"], entry["steps"]))["episode"])
+
+
+def root_of(cell: Cell, folder: Path) -> Path:
     """A cell's dataset, in a folder of its own."""
     return folder / cell.name / "dataset"
 
@@ -90,15 +116,12 @@ def _repo_id(root: Path) -> str:
 
 
 def _is_current(root: Path) -> bool:
-    """Whether a source is there and no code has changed since it was recorded."""
+    """Whether a recorded dataset is there and no code has changed since; one that was converted does not count."""
     commit = git_commit()
     if not (root / METADATA_PATH).exists() or (commit or "").endswith("-dirty"):
         return False
-    return Metadata.load(root).provenance.git_commit == commit
-
-
-def _seeds(root: Path) -> list[int]:
-    return [record["seed"] for record in Records(root)]
+    provenance = Metadata.load(root).provenance
+    return provenance.source is None and provenance.git_commit == commit
 
 
 def _timed[Result](seconds: dict[str, float], name: str, call: Callable[[], Result]) -> Result:

@@ -65,6 +65,31 @@ def keep(folder: Path, files: Iterable[str], command: str, run: Run, seeds: Sequ
     Manifest.read(folder).keep(figure, run.code)
 
 
+def keep_cell(
+    folder: Path, name: str, found: Mapping[str, Any], command: str, run: Run, seeds: Sequence[int], *also: str
+) -> None:
+    """Keep a finished cell at once: write its file, with what made it, and say in `depends.yaml` what it depends on.
+
+    Args:
+        folder: of figures.
+        name: of its file.
+        found: settings and results.
+        command: that made it.
+        run: what the process runs.
+        seeds: first and last.
+        also: names of files that were made with it.
+
+    Raises:
+        CEIError: as `keep`.
+    """
+    from cei_converters.cli.outputs import Output
+    from cei_converters.cli.result import write_json
+
+    made_by = {"commit": run.commit, "versions": run.versions, "date": datetime.now(UTC).isoformat(timespec="seconds")}
+    write_json(Output(folder / name), dict(found) | made_by)
+    keep(folder, [name, *also], command, run, seeds)
+
+
 def keep_derived(folder: Path, files: Iterable[str], command: str, made_of: str) -> None:
     """Say in a folder's `depends.yaml` which files of it tables and pictures are made of (a pattern).
 

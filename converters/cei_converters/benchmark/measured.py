@@ -24,7 +24,15 @@ _CONVERSION = (
     *("!converters/cei_converters/dataset/license.py", "!converters/cei_converters/dataset/hub.py"),
 )
 _RECORD, _REPLAY = "converters/cei_converters/record.py", "converters/cei_converters/replay.py"
-_CELLS = ("converters/cei_converters/benchmark/cells.py", "converters/cei_converters/benchmark/jobs.py")
+
+
+def _of_benchmark(*names: str) -> tuple[str, ...]:
+    """Modules of this folder."""
+    return tuple(f"converters/cei_converters/benchmark/{name}.py" for name in names)
+
+
+_CELLS = _of_benchmark("cells", "jobs")
+_REAL = "converters/cei_converters/benchmark/real_tasks.py"
 _POLICY = ("policies/lerobot_policy_dp3/*", "envs/lerobot_env_cei/*")
 _CLOUDS = ("cei_gym/pointcloud/*", "cei_gym/rendering/*", "cei_gym/embodiment/*", "cei_gym/kinematics/*")
 
@@ -33,6 +41,29 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "cei-benchmark policy": (
         *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py"),
         *(*_RECORDED, *_CONVERSION, _RECORD, *_POLICY, "converters/cei_converters/benchmark/policy_stages.py"),
+    ),
+    "cei-benchmark real --stage=replay": (*_METHOD, *_RECORDED, *_CONVERSION, _RECORD, _REPLAY, *_CELLS, _REAL),
+    "cei-benchmark real --stage=policy": (
+        *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py"),
+        *(*_RECORDED, *_CONVERSION, _RECORD, *_POLICY, _REAL),
+        *_of_benchmark("policy_stages", "own_clouds", "jobs"),
+    ),
+    "cei-benchmark anchors --stage=replay": (
+        *("cei_gym/*", "!cei_gym/wrapper.py", "!cei_gym/impersonation.py", *_RECORDED, *_CONVERSION, _RECORD, _REPLAY),
+        *_of_benchmark("policy_stages", "real_tasks", "jobs", "anchors_stages", "anchors_replay"),
+    ),
+    "cei-benchmark anchors --stage=policy": (
+        *("cei_gym/*", "!cei_gym/impersonation.py", *_RECORDED, *_CONVERSION, _RECORD, *_POLICY),
+        *_of_benchmark("policy_stages", "real_tasks", "jobs", "anchors_stages"),
+    ),
+    "cei-benchmark modes --stage=replay": (
+        *(*_METHOD, *_RECORDED, *_CONVERSION, _RECORD, _REPLAY),
+        *_of_benchmark("real_tasks", "jobs", "modes_stages", "modes_replay"),
+    ),
+    "cei-benchmark modes --stage=policy": (
+        *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py"),
+        *(*_RECORDED, *_CONVERSION, _RECORD, *_POLICY),
+        *_of_benchmark("policy_stages", "real_tasks", "jobs", "modes_stages"),
     ),
     "benchmarks/alignment.py": (*_ALIGNMENT, *_RECORDED, "benchmarks/alignment.py", "benchmarks/others.py"),
     "benchmarks/augmentation.py": (

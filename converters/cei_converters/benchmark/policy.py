@@ -1,27 +1,22 @@
 """`cei-benchmark policy`: how often policies trained on converted demonstrations succeed, beside the paper's figures."""
 
-import os
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from cei_converters.benchmark import paper
+from cei_converters.benchmark.cells import listed
 from cei_converters.benchmark.policy_stages import BLIND, VARIANTS, PolicyCell, Stages, Training, Trials
-from cei_converters.benchmark.results import check_derived, check_folders, read_cell
+from cei_converters.benchmark.results import check_derived, check_folders
+from cei_converters.benchmark.training import STAGES, finished_policies, run_policies
 from cei_converters.cli import run
 from cei_converters.cli.options import check_range
-from cei_converters.cli.outputs import Output
-from cei_converters.cli.result import write_json
-from cei_gym.errors import CEIError, one_line, unknown
+from cei_gym.errors import CEIError, unknown
 
 EXAMPLE = """example:
   cei-benchmark policy --tasks=PickCube --targets=IIWA-Inspire,UR5e-FourierRight
   cei-benchmark policy --stage=train --training.device=cuda --training.size=paper   # elsewhere; bring --work back
   cei-benchmark policy --stage=evaluate"""
-STAGES = ("all", "train", "evaluate")
 REPORT_FILES = ("policy.md", "policy.csv", "success.png", "learning.png")
 
 
@@ -67,11 +62,12 @@ def policy_benchmark(config: PolicyBenchmarkConfig) -> None:
     trials = Trials(config.seed, config.episodes, config.episode_length)
     stages = Stages(config.work, config.demonstrations, config.variation, trials, config.training)
     cells, folder, errors = list(_cells(config)), config.results, []
-    found = _finished(cells, stages, folder)
+    found = finished_policies(cells, stages, folder)
     check_derived(folder, REPORT_FILES, any(folder.glob("*-*-*.json")))
     if not config.redraw:
-        errors = _run([cell for cell in cells if cell not in found], stages, config)
-        found = _finished(cells, stages, folder)
+        missing = [cell for cell in cells if cell not in found]
+        errors = run_policies(missing, stages, folder, _command(config), config.stage, config.jobs)
+        found = finished_policies(cells, stages, folder)
     if found:
         from cei_converters.benchmark.keeping import keep_derived
         from cei_converters.benchmark.policy_report import write_report
@@ -85,61 +81,13 @@ def policy_benchmark(config: PolicyBenchmarkConfig) -> None:
 
 
 def _cells(config: PolicyBenchmarkConfig) -> Iterator[PolicyCell]:
-    tasks = _names("task", config.tasks, tuple(paper.POLICY))
-    targets = _names("target", config.targets, paper.POLICY_TARGETS)
-    for task in tasks:
+    targets = listed("target", config.targets, paper.POLICY_TARGETS)
+    variants = listed("variant", config.variants, VARIANTS)
+    for task in listed("task", config.tasks, paper.POLICY):
         for target in targets:
-            for variant in _names("variant", config.variants, tuple(VARIANTS)):
+            for variant in variants:
                 for seed in range(1 if variant in BLIND else config.training_seeds):
                     yield PolicyCell(task, target, variant, seed)
-
-
-def _finished(cells: list[PolicyCell], stages: Stages, folder: Path) -> dict[PolicyCell, dict[str, Any]]:
-    found = {cell: read_cell(folder / f"{cell.name}.json", stages.settings(cell)) for cell in cells}
-    return {cell: result for cell, result in found.items() if result is not None}
-
-
-def _names(kind: str, text: str | None, valid: tuple[str, ...]) -> list[str]:
-    names = list(valid) if text is None else [name.strip() for name in text.strip("[] ").split(",")]
-    for name in names:
-        if name not in valid:
-            raise unknown(kind, name, valid)
-    return names
-
-
-def _run(cells: list[PolicyCell], stages: Stages, config: PolicyBenchmarkConfig) -> list[str]:
-    """Run cells and keep their results; returns what went wrong, one line each."""
-    from cei_converters.benchmark.keeping import Run, keep
-    from cei_converters.cli.progress import progress_bar
-    from cei_converters.dataset.provenance import PACKAGES
-
-    started, command = Run.now((*PACKAGES, "numba", "lerobot_policy_dp3")), _command(config)
-    trials = range(config.seed, config.seed + config.episodes)
-    made_by = {"commit": started.commit, "versions": started.versions}
-    workers = config.jobs or (1 if config.training.device != "cpu" else os.cpu_count() or 1)
-    errors = []
-
-    def one(cell: PolicyCell) -> tuple[PolicyCell, dict[str, Any] | None, str | None]:
-        try:
-            stages.prepare(cell, train=config.stage != "evaluate")
-            return cell, None if config.stage == "train" else stages.evaluate(cell), None
-        except CEIError as error:
-            return cell, None, one_line(error)
-
-    with progress_bar("cells") as progress, ThreadPoolExecutor(workers) as pool:
-        bar = progress.add_task("training and evaluating", total=len(cells))
-        for cell, result, error in pool.map(one, cells):
-            if error is not None:
-                errors.append(f"{cell.name}: {error}")
-            elif result is not None:
-                date = {"date": datetime.now(UTC).isoformat(timespec="seconds")}
-                file = Output(config.results / f"{cell.name}.json")
-                write_json(file, stages.settings(cell) | result | made_by | date)
-                keep(config.results, [f"{cell.name}.json"], command, started, trials)
-                line = f"{cell.name}: {sum(result['successes'])} of {len(result['successes'])}"
-                progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
-            progress.advance(bar)
-    return errors
 
 
 def _command(config: PolicyBenchmarkConfig) -> str:

@@ -1,4 +1,7 @@
-"""What a policy's cell takes, stage by stage: record, convert, train, evaluate. What is finished is not done again."""
+"""What a policy's cell takes, stage by stage: record, convert, train, evaluate. What is finished is not done again.
+
+A cell whose target is its source is the source's own policy: nothing is converted, and clouds are as cameras see them.
+"""
 
 import json
 import os
@@ -10,15 +13,15 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-import numpy as np
-
 from cei_converters import signals
+from cei_converters.benchmark.blind import blindly
 from cei_converters.benchmark.cells import SOURCE
-from cei_converters.cli import parse
+from cei_converters.benchmark.jobs import record_successes, recorded_seeds
+from cei_converters.benchmark.own_clouds import with_own_clouds
+from cei_converters.cli import DatasetConfig, parse
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.convert import convert
-from cei_converters.record import RecordConfig, record
-from cei_converters.sources.reader import DatasetReader
+from cei_converters.record import RecordConfig
 from cei_gym.errors import CEIError
 
 BLIND = ("mean_action", "one_demonstration")
@@ -31,6 +34,8 @@ VARIANTS = {
 }
 """Variant to what it is called. The first trains on clouds that still show the source; the first two are evaluated on clouds as
 cameras see them. The last two look at nothing."""
+OWN = "source"
+"""The variant of the source's own policy."""
 
 
 @dataclass(frozen=True)
@@ -76,12 +81,13 @@ class Trials:
 
 @dataclass(frozen=True)
 class PolicyCell:
-    """One policy of one task and target, trained with one seed, evaluated in one way."""
+    """One policy of one task and target, trained with one seed, evaluated in one way, from demonstrations of one source."""
 
     task: str
     target: str
     variant: str
     seed: int = 0
+    source: str = SOURCE
 
     @property
     def name(self) -> str:
@@ -91,7 +97,18 @@ class PolicyCell:
     @property
     def swaps(self) -> bool:
         """Whether it is trained on clouds that show the target."""
-        return self.variant != "no_augmentation"
+        return self.variant not in ("no_augmentation", OWN)
+
+    @property
+    def dataset(self) -> str:
+        """Name of what it is trained on."""
+        of_source = "" if self.source in (SOURCE, self.target) else f"-of-{self.source}"
+        return f"{self.task}-{self.target}{of_source}-{'swapped' if self.swaps else 'as_recorded'}"
+
+    @property
+    def sees_swapped(self) -> bool:
+        """Whether it is evaluated on clouds as conversions make them."""
+        return self.variant == "cei"
 
 
 class Stages:
@@ -99,15 +116,21 @@ class Stages:
 
     Args:
         work: holds datasets and trainings.
-        demonstrations: to train on, of seeds from 0.
+        demonstrations: to train on.
         variation: how much they differ.
         trials: of the evaluation.
         training: options.
+        first: seed of the first demonstration.
+
+    Attributes:
+        trials, training: as given.
     """
 
-    def __init__(self, work: Path, demonstrations: int, variation: float, trials: Trials, training: Training) -> None:
-        self._work, self._demonstrations, self._variation = work, demonstrations, variation
-        self._trials, self._training = trials, training
+    def __init__(
+        self, work: Path, demonstrations: int, variation: float, trials: Trials, training: Training, first: int = 0
+    ) -> None:
+        self._work, self._demonstrations, self._variation, self._first = work, demonstrations, variation, first
+        self.trials, self.training = trials, training
         self._locks: dict[Path, Lock] = defaultdict(Lock)  # what two cells need is made once
         self._guard = Lock()
 
@@ -117,32 +140,50 @@ class Stages:
             **asdict(cell),
             "demonstrations": self._demonstrations,
             "variation": self._variation,
-            "trials": asdict(self._trials),
+            "trials": asdict(self.trials),
         }
         if cell.variant in BLIND:
             return shared
-        training = asdict(self._training) | {"cloud_channels": list(self._training.cloud_channels)}
+        training = asdict(self.training) | {"cloud_channels": list(self.training.cloud_channels)}
         return shared | {"training": {key: value for key, value in training.items() if key != "device"}}
 
+    def conversion(self, cell: PolicyCell) -> list[str]:
+        """Options of `cei-convert` for a cell, once its source's demonstrations are recorded."""
+        return ["--allow_unreachable", f"--clouds.swap={str(cell.swaps).lower()}"]
+
+    def environment(self, cell: PolicyCell) -> list[str]:
+        """Options of `lerobot-eval` for the environment that a cell is evaluated in."""
+        return [f"--env.augment={str(cell.sees_swapped).lower()}"]
+
+    def make(self, cell: PolicyCell) -> None:
+        """Record and convert.
+
+        Raises:
+            CEIError: something failed.
+        """
+        source, converted = self.source(cell), self.converted(cell)
+        with self._lock(source):
+            if not source.exists():
+                env, count = f"CEI-{cell.task}-{cell.source}", self._demonstrations
+                record_successes(RecordConfig(env, repo_id(source), source, count, self._first, self._variation))
+        with self._lock(converted):
+            if not converted.exists() and cell.variant == OWN:
+                with_own_clouds(DatasetConfig(repo_id(source), source), DatasetConfig(repo_id(converted), converted))
+            elif not converted.exists():
+                options = [
+                    *(f"--dataset.repo_id={repo_id(source)}", f"--dataset.root={source}", f"--target={cell.target}"),
+                    *(f"--new_repo_id={repo_id(converted)}", f"--new_root={converted}", *self.conversion(cell)),
+                    "--resume",  # one that was interrupted
+                ]
+                convert(parse(ConvertConfig, options, "cei-convert", ""))
+
     def prepare(self, cell: PolicyCell, train: bool) -> None:
-        """Record, convert and, for cells that are trained and if `train`, train.
+        """Make what a cell is trained on and, for cells that are trained and if `train`, train.
 
         Raises:
             CEIError: something failed, or is missing and not to be trained.
         """
-        source, converted = self._source(cell), self._converted(cell)
-        with self._lock(source):
-            if not source.exists():
-                env, count = f"CEI-{cell.task}-{SOURCE}", self._demonstrations
-                record(RecordConfig(env, _repo_id(source), source, count, 0, self._variation))
-        with self._lock(converted):
-            if not converted.exists():
-                options = [
-                    *(f"--dataset.repo_id={_repo_id(source)}", f"--dataset.root={source}", f"--target={cell.target}"),
-                    *(f"--new_repo_id={_repo_id(converted)}", f"--new_root={converted}", "--allow_unreachable"),
-                    f"--clouds.swap={str(cell.swaps).lower()}",
-                ]
-                convert(parse(ConvertConfig, options, "cei-convert", ""))
+        self.make(cell)
         if cell.variant not in BLIND:
             with self._lock(self.trained(cell)):
                 if not self._checkpoint(cell).exists():
@@ -151,9 +192,13 @@ class Stages:
                     self._train(cell)
 
     def evaluate(self, cell: PolicyCell) -> dict[str, Any]:
-        """Trials of a prepared cell: `successes`, one a seed."""
+        """Trials of a prepared cell: `successes`, one a seed, and the seeds of the demonstrations behind it, without those that the expert
+        failed with."""
+        trained_on = {"source_seeds": recorded_seeds(self.source(cell))}
         if cell.variant in BLIND:
-            return {"successes": self._blindly(cell)}
+            dataset = DatasetConfig(repo_id(self.converted(cell)), self.converted(cell))
+            mean = cell.variant == "mean_action"
+            return {"successes": blindly(dataset, mean, self.trials.seeds, self.trials.length), **trained_on}
         output = self._work / "evaluated" / cell.name
         self._script(
             "lerobot-eval",
@@ -161,21 +206,29 @@ class Stages:
             f"--policy.path={self._checkpoint(cell)}",
             "--policy.device=cpu",
             "--env.type=cei",
-            f"--env.dataset={self._converted(cell)}",
-            f"--env.augment={str(cell.variant == 'cei').lower()}",
-            f"--env.episode_length={self._trials.length}",
-            f"--eval.n_episodes={self._trials.count}",
+            f"--env.dataset={self.converted(cell)}",
+            *self.environment(cell),
+            f"--env.episode_length={self.trials.length}",
+            f"--eval.n_episodes={self.trials.count}",
             "--eval.batch_size=1",
-            f"--seed={self._trials.first_seed}",
+            f"--seed={self.trials.first_seed}",
             f"--output_dir={output}",
         )
         info = json.loads((output / "eval_info.json").read_text())
-        return {"successes": info["per_task"][0]["metrics"]["successes"], "losses": self.losses(cell)}
+        successes = info["per_task"][0]["metrics"]["successes"]
+        return {"successes": successes, "losses": self.losses(cell), **trained_on}
+
+    def source(self, cell: PolicyCell) -> Path:
+        """Folder of its source's demonstrations."""
+        return self._work / "datasets" / f"{cell.task}-{cell.source}"
+
+    def converted(self, cell: PolicyCell) -> Path:
+        """Folder of what it is trained on."""
+        return self._work / "datasets" / cell.dataset
 
     def trained(self, cell: PolicyCell) -> Path:
         """Folder of its training, which variants share that differ in evaluation alone."""
-        kind = "swapped" if cell.swaps else "as_recorded"
-        return self._work / "trained" / f"{cell.task}-{cell.target}-{kind}-{cell.seed}"
+        return self._work / "trained" / f"{cell.dataset}-{cell.seed}"
 
     def losses(self, cell: PolicyCell) -> list[tuple[int, float]]:
         """Step and loss, as its training's log has them; of steps done again after a stop, the later ones."""
@@ -184,10 +237,10 @@ class Stages:
             if " loss:" in line and "updt_s:" in line:
                 words = dict(word.split(":", 1) for word in line.split(" step:")[-1].split() if ":" in word)
                 found[float(words["epch"])] = float(words["loss"])  # steps are in thousands there
-        return [(round(self._training.steps * epoch / max(found)), found[epoch]) for epoch in sorted(found)]
+        return [(round(self.training.steps * epoch / max(found)), found[epoch]) for epoch in sorted(found)]
 
     def _train(self, cell: PolicyCell) -> None:
-        output, converted, t = self.trained(cell), self._converted(cell), self._training
+        output, converted, t = self.trained(cell), self.converted(cell), self.training
         config = output / "checkpoints/last/pretrained_model/train_config.json"
         if config.exists():
             options = [f"--config_path={config}", "--resume=true"]
@@ -195,7 +248,7 @@ class Stages:
             if output.exists():  # stopped before its first checkpoint
                 output.rename(_unused(output))
             options = [
-                *(f"--dataset.repo_id={_repo_id(converted)}", f"--dataset.root={converted}"),
+                *(f"--dataset.repo_id={repo_id(converted)}", f"--dataset.root={converted}"),
                 *("--policy.type=dp3", f"--policy.size={t.size}", f"--policy.cloud_channels={list(t.cloud_channels)}"),
                 *([] if t.points is None else [f"--policy.points={t.points}"]),
                 *(f"--policy.random_points={str(t.random_points).lower()}", f"--policy.state_noise={t.state_noise}"),
@@ -206,35 +259,10 @@ class Stages:
             ]
         self._script("lerobot-train", output.with_suffix(".log"), *options)
 
-    def _blindly(self, cell: PolicyCell) -> list[bool]:
-        import gymnasium as gym
-
-        import cei_gym  # noqa: F401  (registers the environments)
-
-        demonstrations = DatasetReader(_repo_id(self._converted(cell)), self._converted(cell))
-        actions = demonstrations.read(0).action
-        if cell.variant == "mean_action":
-            means = [demonstrations.read(i).action.mean(axis=0) for i in range(self._demonstrations)]
-            actions = np.mean(means, axis=0, keepdims=True)
-        assert demonstrations.metadata is not None
-        environment = demonstrations.metadata.environment
-        options = environment.kwargs | {"clouds": False, "max_episode_steps": self._trials.length}
-        env = gym.make(str(environment.id), **options)
-        successes = []
-        for seed in self._trials.seeds:
-            env.reset(seed=seed)
-            t, over, success = 0, False, False
-            while not over:
-                _, _, success, truncated, _ = env.step(actions[min(t, len(actions) - 1)].astype(np.float32))
-                t, over = t + 1, success or truncated
-            successes.append(bool(success))
-        env.close()
-        return successes
-
     def _script(self, name: str, log: Path, *options: str) -> None:
         """Run one of LeRobot's scripts; what it prints goes to a file."""
         log.parent.mkdir(parents=True, exist_ok=True)
-        threads = {} if self._training.device != "cpu" else {"OMP_NUM_THREADS": "1"}
+        threads = {} if self.training.device != "cpu" else {"OMP_NUM_THREADS": "1"}
         with log.open("a") as file:
             script = Path(sys.executable).with_name(name)
             process = subprocess.Popen(
@@ -249,17 +277,12 @@ class Stages:
         with self._guard:
             return self._locks[path]
 
-    def _source(self, cell: PolicyCell) -> Path:
-        return self._work / "datasets" / f"{cell.task}-{SOURCE}"
-
-    def _converted(self, cell: PolicyCell) -> Path:
-        return self._work / "datasets" / f"{cell.task}-{cell.target}-{'swapped' if cell.swaps else 'as_recorded'}"
-
     def _checkpoint(self, cell: PolicyCell) -> Path:
-        return self.trained(cell) / "checkpoints" / f"{self._training.steps:06d}" / "pretrained_model"
+        return self.trained(cell) / "checkpoints" / f"{self.training.steps:06d}" / "pretrained_model"
 
 
-def _repo_id(root: Path) -> str:
+def repo_id(root: Path) -> str:
+    """What a dataset in a folder is called."""
     return f"cei-benchmark/{root.name}"
 
 

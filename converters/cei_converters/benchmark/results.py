@@ -12,6 +12,9 @@ from cei_converters.cli.result import write_json
 from cei_converters.dataset.place import check_parent
 from cei_gym.errors import CEIError, one_line
 
+UNSAID = {"source": SOURCE}
+"""Settings of finished cells that do not say them, as they were made before there was a choice."""
+
 
 @dataclass(frozen=True)
 class Results:
@@ -34,9 +37,8 @@ class Results:
     def settings(self, cell: Cell) -> dict[str, Any]:
         """What a finished cell must have been made with to count."""
         seeds = [self.seeds[0], self.seeds[-1]]
-        names = {"task": cell.task, "target": cell.target, "variant": cell.variant}
-        source = {} if self.source == SOURCE else {"source": self.source}
-        return {"seeds": seeds, **names, **source, "options": VARIANTS[cell.variant]}
+        names = {"task": cell.task, "source": self.source, "target": cell.target, "variant": cell.variant}
+        return {"seeds": seeds, **names, "options": VARIANTS[cell.variant]}
 
     def read(self, cell: Cell) -> dict[str, Any] | None:
         """A finished cell; None if it is not.
@@ -66,20 +68,37 @@ def read_cell(path: Path, settings: Mapping[str, Any]) -> dict[str, Any] | None:
     Raises:
         CEIError: it was made with other settings, or cannot be read.
     """
-    try:
-        found = json.loads(path.read_text())
-    except FileNotFoundError:
+    found = load_cell(path)
+    if found is None:
         return None
-    except (OSError, ValueError) as error:
-        raise CEIError(f"{path} cannot be read ({one_line(error)}); remove it.") from error
     for key, ours in settings.items():
-        theirs = found.get(key) if isinstance(found, dict) else None
+        theirs = found.get(key, UNSAID.get(key))
         if theirs != ours:
             raise CEIError(
                 f"{path} was made with other settings ({key}: {theirs}, here {ours}); "
                 "remove it or choose another folder with --results."
             )
     return found
+
+
+def source_of(found: Mapping[str, Any]) -> str:
+    """Whose demonstrations a finished cell's are."""
+    return str(found.get("source", UNSAID["source"]))
+
+
+def load_cell(path: Path) -> dict[str, Any] | None:
+    """A cell's file, whatever it was made with; None if there is none.
+
+    Raises:
+        CEIError: it cannot be read.
+    """
+    try:
+        found = json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise CEIError(f"{path} cannot be read ({one_line(error)}); remove it.") from error
+    return found if isinstance(found, dict) else {}
 
 
 def check_folders(results: Path, work: Path) -> None:

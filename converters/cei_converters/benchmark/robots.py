@@ -1,13 +1,13 @@
-"""Targets that are not the paper's: any embodiment, of the catalogue or of one's own; their cells, and the table of them."""
+"""Targets, sources and tasks that the paper does not have: any embodiment, of the catalogue or of one's own; their cells, and the table of them."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
-from cei_converters.benchmark.cells import TARGETS, TASKS, Cell, own_tasks
+from cei_converters.benchmark.cells import SOURCE, TARGETS, TASKS, Cell, listed_tasks, split
 from cei_converters.benchmark.marks import mark_of
-from cei_converters.benchmark.results import Results
+from cei_converters.benchmark.results import Results, load_cell, source_of
 from cei_gym.embodiment import check_embodiment, load_embodiment
-from cei_gym.errors import unknown
 
 type Found = Mapping[Cell, Mapping[str, Any]]
 """Finished cells: the contents of their JSONs."""
@@ -15,19 +15,26 @@ type Found = Mapping[Cell, Mapping[str, Any]]
 REPORT, DATA = "replay.md", "replay.json"
 
 
-def beyond_the_paper(targets: str | None) -> list[str]:
-    """The targets of a list such as `a,b`, if one of them is not the paper's; else none.
+def beyond_the_paper(targets: str | None, tasks: str | None, source: str) -> list[str]:
+    """The targets of a list such as `a,b` (default: the paper's sixteen), if the paper's tables have no place for them; else none.
+
+    Args:
+        targets: the list.
+        tasks: a list of tasks; the paper's tables have a place for others only beside one of their own.
+        source: whose demonstrations they are.
 
     Raises:
         CEIError: there is no such embodiment, or its description is refused.
     """
-    names = [] if targets is None else [name.strip() for name in targets.strip("[] ").split(",")]
-    if all(name in TARGETS for name in names):
+    names = [*TARGETS] if targets is None else split(targets)
+    of_paper = tasks is None or any(task in TASKS for task in listed_tasks(tasks))
+    if of_paper and source == SOURCE and all(name in TARGETS for name in names):
         return []
     for name in names:
-        check_embodiment(name, "target")
-        load_embodiment(name)
-    return list(dict.fromkeys(names))
+        if name not in TARGETS:
+            check_embodiment(name, "target")
+            load_embodiment(name)
+    return names
 
 
 def robot_cells(tasks: str | None, targets: Iterable[str], source: str) -> list[Cell]:
@@ -36,16 +43,11 @@ def robot_cells(tasks: str | None, targets: Iterable[str], source: str) -> list[
     Raises:
         CEIError: there is no such task.
     """
-    valid = (*TASKS, *own_tasks())
-    wanted = list(TASKS) if tasks is None else [name.strip() for name in tasks.strip("[] ").split(",")]
-    for name in wanted:
-        if name not in valid:
-            raise unknown("task", name, valid)
-    return [Cell(task, target) for task in dict.fromkeys(wanted) for target in dict.fromkeys([source, *targets])]
+    return [Cell(task, target) for task in listed_tasks(tasks) for target in dict.fromkeys([source, *targets])]
 
 
 def finished_robots(results: Results) -> Found:
-    """All finished cells in a folder.
+    """All finished cells in a folder, of whatever source.
 
     Raises:
         CEIError: one was made with other settings, or cannot be read.
@@ -53,20 +55,23 @@ def finished_robots(results: Results) -> Found:
     found: dict[Cell, Mapping[str, Any]] = {}
     for path in sorted(results.folder.glob("*-*-*.json")):
         task, _, target = path.stem.partition("-")
-        if target.count("-") == 1 and (result := results.read(cell := Cell(task, target))) is not None:
-            found[cell] = result
+        if target.count("-") == 1:
+            its = replace(results, source=source_of(load_cell(path) or {}))
+            if (result := its.read(cell := Cell(task, target))) is not None:
+                found[cell] = result
     return found
 
 
-def rows(found: Found, source: str) -> list[dict[str, Any]]:
+def rows(found: Found) -> list[dict[str, Any]]:
     """A row for each cell, as JSON types: the source first in each task. Seconds are those of converting and replaying all episodes."""
     listed: list[dict[str, Any]] = []
-    for cell in sorted(found, key=lambda cell: (cell.task, cell.target != source, cell.target)):
+    for cell in sorted(found, key=lambda cell: (cell.task, cell.target != source_of(found[cell]), cell.target)):
         replay, alignment = found[cell]["replay"], found[cell].get("alignment", [])
         qualities = [episode["quality"] for episode in alignment]
         listed.append(
             {
                 "task": cell.task,
+                "source": source_of(found[cell]),
                 "embodiment": cell.target,
                 "successes": replay["successes"],
                 "episodes": replay["episodes"],
@@ -79,15 +84,15 @@ def rows(found: Found, source: str) -> list[dict[str, Any]]:
     return listed
 
 
-def robots_markdown(rows: Sequence[Mapping[str, Any]], source: str, commits: Iterable[str]) -> str:
-    """The table, for people."""
+def robots_markdown(rows: Sequence[Mapping[str, Any]], commits: Iterable[str]) -> str:
+    """The table, for people, below one of tasks by robots where there are several."""
     lines = [
         ["task", "embodiment", "success", "95 % (Wilson)", "quality", "seconds", "failures"],
         ["---"] * 7,
         *(
             [
                 row["task"],
-                row["embodiment"] + (" (source)" if row["embodiment"] == source else ""),
+                row["embodiment"] + (" (source)" if row["embodiment"] == row["source"] else ""),
                 f"{row['successes']} of {row['episodes']}",
                 "{:.0%} to {:.0%}".format(*row["interval_95"]),
                 "-" if row["quality_mean"] is None else f"{row['quality_mean']:.2f}",
@@ -97,13 +102,45 @@ def robots_markdown(rows: Sequence[Mapping[str, Any]], source: str, commits: Ite
             for row in rows
         ),
     ]
-    table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
     return "\n\n".join(
         [
             "# Replay of transferred demonstrations",
-            f"Demonstrations of {source}, converted for each robot and replayed in physics from the same starts. Quality is the conversion's, 0 to 1,"
+            f"Demonstrations of {_sources(rows)}, converted for each robot and replayed in physics from the same starts. Quality is the conversion's, 0 to 1,"
             " a mean over episodes; seconds are those of converting and replaying all of them on one core.",
-            table,
+            *_overview(rows),
+            _table(lines),
             f"Measured at {mark_of(DATA, sorted(set(commits)))}.",
         ]
     )
+
+
+def _sources(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Whose demonstrations they are, and in which tasks if not in all."""
+    tasks = {
+        source: [*dict.fromkeys(row["task"] for row in rows if row["source"] == source)] for source in sources(rows)
+    }
+    return " and ".join(f"{each} ({', '.join(tasks[each])})" if len(tasks) > 1 else each for each in tasks)
+
+
+def sources(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """The sources of rows, each once."""
+    return [*dict.fromkeys(row["source"] for row in rows)]
+
+
+def _overview(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Successes of robots by tasks, as Markdown; nothing of one task."""
+    tasks = [*dict.fromkeys(row["task"] for row in rows)]
+    if len(tasks) == 1:
+        return []
+    found = {(row["embodiment"], row["task"]): row for row in rows}
+
+    def cell(robot: str, task: str) -> str:
+        row = found.get((robot, task))
+        return "" if row is None else f"{row['successes']}/{row['episodes']}{' *' if robot == row['source'] else ''}"
+
+    lines = [[robot, *(cell(robot, task) for task in tasks)] for robot in dict.fromkeys(robot for robot, _ in found)]
+    return [_table([["", *tasks], ["---"] * (1 + len(tasks)), *lines]), "`*`: the source itself."]
+
+
+def _table(lines: Iterable[Iterable[str]]) -> str:
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

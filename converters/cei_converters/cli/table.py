@@ -1,6 +1,7 @@
 """Tables on the terminal."""
 
 import math
+import sys
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -23,6 +24,14 @@ def print_table(entries: list[dict[str, Any]], title: str) -> None:
     for entry in entries:
         table.add_row(*(_cell(entry.get(name)) for name in names))
     console.print(table)
+
+
+def print_markdown(text: str) -> None:
+    """Print a document for people to read."""
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    Console(width=None if sys.stdout.isatty() else PIPE_WIDTH).print(Markdown(text))
 
 
 def _cell(value: object) -> str:

@@ -10,7 +10,17 @@ import numpy as np
 from cei_converters.cli.options import parse_numbers
 from cei_converters.dataset import schema
 from cei_gym.arrays import Array
-from cei_gym.augmentation import RAMP, Handling, Offset, boxes_of_state, carried_box, displace, grid_offsets, segmented
+from cei_gym.augmentation import (
+    RAMP,
+    Handling,
+    Offset,
+    anchored,
+    boxes_of_state,
+    carried_box,
+    displace,
+    grid_offsets,
+    segmented,
+)
 from cei_gym.demonstration import Demonstration
 from cei_gym.displacement import Region
 from cei_gym.errors import CEIError, unknown
@@ -26,16 +36,18 @@ _MOST_PLACES = 100_000
 
 @dataclass
 class AugmentOptions:
-    """Spatial augmentation; `--augment.grid` switches it on.
+    """Spatial augmentation; `--augment.grid` or `--augment.anchors` switches it on.
 
     Attributes:
         grid: how many places along x and y objects are moved to, such as 10,10; each makes an episode of its own.
-        range: from the first to the last of them along x and y, m; in the middle is where they were recorded.
+        range: from the first to the last of them along x and y, m; in the middle is where they were recorded, or an anchor.
+        anchors: how far from where they were recorded middles are, x and y, m, such as 0,0;0.2,0;0,-0.2: a grid around each.
         rotation_deg: objects are also turned by an angle drawn from minus to plus this, another for each episode.
         seed: of these angles.
         ramp: share of the frames of `ramp_over` after which the hand has gone all of the offset (the paper's 0.8).
-        ramp_over: approach (until the hand first takes hold, as objects stand elsewhere from the start; if it never does, the
-            whole episode) or episode (the paper, whose demonstrations end at the object).
+        ramp_over: approach (until the hand first takes hold, as objects stand elsewhere from the start; if it never does, until it first
+            touches something that clouds show; if it never does, the whole episode) or episode (the paper, whose demonstrations end at
+            the object).
         objects: which points are moved: all (that are not the robot's), state (where the simulator's state of objects
             says that they are), box or segmentation (where observation.segmentation.<depth camera> is bright).
         box: where objects are at first: x0,y0,z0,x1,y1,z1, m, world; what of it the hand carries is followed.
@@ -44,6 +56,7 @@ class AugmentOptions:
 
     grid: str | None = None
     range: str = "0.2,0.2"
+    anchors: str | None = None
     rotation_deg: float = 0.0
     seed: int = 0
     ramp: float = RAMP
@@ -53,8 +66,12 @@ class AugmentOptions:
     half_m: float | None = None
 
     def __post_init__(self) -> None:
-        if self.grid is None and any(getattr(self, f.name) != f.default for f in fields(self)):
-            raise CEIError("--augment.* are of no use without --augment.grid, such as --augment.grid=10,10.")
+        if not self.enabled and any(getattr(self, f.name) != f.default for f in fields(self)):
+            raise CEIError(
+                "--augment.* are of no use without --augment.grid, such as --augment.grid=10,10, or --augment.anchors."
+            )
+        if self.grid is None and self.range != type(self).range:
+            raise CEIError("--augment.range is of no use without --augment.grid: each anchor is one place.")
         if self.objects not in CHOICES:
             raise unknown("augment.objects", self.objects, CHOICES)
         if self.ramp_over not in RAMPS:
@@ -74,25 +91,28 @@ class AugmentOptions:
     @property
     def enabled(self) -> bool:
         """Whether there is anything to do."""
-        return self.grid is not None
+        return self.grid is not None or self.anchors is not None
 
     @property
     def places(self) -> list[Offset]:
         """Where objects are moved to, not turned.
 
         Raises:
-            CEIError: grid or range cannot be read.
+            CEIError: grid, range or anchors cannot be read, or there are too many.
         """
-        if self.grid is None:
+        if not self.enabled:
             return []
-        nx, ny = parse_numbers("--augment.grid", self.grid, "10,10")
+        nx, ny = parse_numbers("--augment.grid", self.grid or "1,1", "10,10")
         x_m, y_m = parse_numbers("--augment.range", self.range, "0.2,0.2")
-        if min(nx, ny) < 1 or nx % 1 or ny % 1 or nx * ny > _MOST_PLACES:
+        anchors = [
+            Offset(*parse_numbers("--augment.anchors", each, "0.2,0")) for each in (self.anchors or "0,0").split(";")
+        ]
+        if min(nx, ny) < 1 or nx % 1 or ny % 1 or nx * ny * len(anchors) > _MOST_PLACES:
             what = f"whole numbers of places along x and y, at least 1, and {_MOST_PLACES} in all at most"
             raise CEIError(f"--augment.grid={self.grid}: {what}.")
         if min(x_m, y_m) < 0:
             raise CEIError(f"--augment.range={self.range} must not be negative.")
-        return grid_offsets((int(nx), int(ny)), (x_m, y_m))
+        return anchored(anchors, grid_offsets((int(nx), int(ny)), (x_m, y_m)))
 
     @property
     def box_world(self) -> Array | None:
@@ -123,6 +143,7 @@ class Augmentation:
 
     def __init__(self, options: AugmentOptions, reader: "Source", transfer: Transfer) -> None:
         self._options, self._reader, self._transfer, self._places = options, reader, transfer, options.places
+        self._handled: tuple[int, Handling] | None = None
         if options.objects == "segmentation" and not reader.segmented:
             key = schema.SEGMENTATION_PREFIX + "<camera>"
             raise CEIError(
@@ -145,7 +166,7 @@ class Augmentation:
         Raises:
             CEIError: the objects' points cannot be told from others in the way that is asked for.
         """
-        o, handling, offset = self._options, self._transfer.handling(recorded), self.offset(recorded.index, variant)
+        o, handling, offset = self._options, self._handling(recorded), self.offset(recorded.index, variant)
         frames = handling.approach if o.ramp_over == "approach" else len(recorded)
         moved = displace(recorded, handling, offset, o.ramp * frames, self._objects(recorded, handling))
         assert moved.displacement is not None
@@ -153,6 +174,12 @@ class Augmentation:
         low, high = recorded.scene.workspace_world[:, :2]
         there = T[:2, :3] @ place + T[:2, 3]
         return moved, offset, bool((low <= there).all() and (there <= high).all())
+
+    def _handling(self, recorded: Demonstration) -> Handling:
+        """What is the same of all variants: of the last one it is known."""
+        if self._handled is None or self._handled[0] != recorded.index:
+            self._handled = recorded.index, self._transfer.handling(recorded)
+        return self._handled[1]
 
     def _objects(self, recorded: Demonstration, handling: Handling) -> Region | None:
         o = self._options

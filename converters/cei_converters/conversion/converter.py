@@ -92,7 +92,7 @@ class Converter:
             carried=stored and self.reader.carries,
             then=on_recorded,
         )
-        self._retarget = Retarget(self.transfer, None, config.init.modes, stored, on_retargeted)
+        self._retarget = Retarget(self.transfer, None, config.init.modes, stored, on_retargeted, mode=config.init.mode)
         self._judge = Judge(config.gate, config.allow_unreachable)
         self._encode = Encode(
             self.reader,

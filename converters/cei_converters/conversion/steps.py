@@ -147,6 +147,7 @@ class Retarget:
         modes: distinct motions, which episodes take in turn.
         clouds: whether clouds are synthesised.
         then: steps that packages add, in their order.
+        mode: the one motion that all episodes take instead.
     """
 
     transfer: "Transfer"
@@ -154,9 +155,11 @@ class Retarget:
     modes: int
     clouds: bool
     then: Sequence[OnRetargeted]
+    mode: int | None = None
 
     def __call__(self, recorded: Recorded) -> Retargeted:
-        mode = recorded.position % self.modes  # motions take turns: a dataset is an even mixture
+        # motions take turns: a dataset is an even mixture
+        mode = recorded.position % self.modes if self.mode is None else self.mode
         if self.verifier is None:
             moved, report = self.transfer(recorded.demonstration, mode, clouds=self.clouds)
             verdict = None

@@ -1,7 +1,7 @@
 """Opening an environment by its id, with one clear line when that fails."""
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from typing import Any
 
@@ -36,6 +36,12 @@ def open_environment(env_id: str, **kwargs: Any) -> gym.Env:
         raise
     except (TypeError, ValueError, AssertionError, gym.error.Error) as error:  # arguments may come from a dataset
         raise CEIError(f"{env_id} cannot be opened with {one_line(kwargs, 100)}: {one_line(error)}") from error
+
+
+def task_names() -> list[str]:
+    """Tasks that there are environments of ours of, `CEI-<Task>-<Arm>-<EndEffector>`, those of installed packages last."""
+    cei_gym.register_environments()
+    return _tasks([name for name in gym.registry if name.startswith(PREFIX) and name.count("-") == 3])
 
 
 def _unknown(env_id: str, ids: list[str]) -> CEIError:
@@ -74,8 +80,19 @@ def check_arguments(env_id: str, kwargs: Mapping[str, Any]) -> None:
     if spec.entry_point is unavailable:
         unavailable(env_id)
     creator = spec.entry_point if callable(spec.entry_point) else load_env_creator(spec.entry_point)
-    takes = [*inspect.signature(creator).parameters, "max_episode_steps", "disable_env_checker"]
+    takes = [*_parameters(creator), "max_episode_steps", "disable_env_checker"]
     takes = [name for name in takes if name not in spec.kwargs]
     for name in kwargs:
         if name not in takes:
             raise unknown(f"argument of {env_id}", name, takes)
+
+
+def _parameters(creator: Callable[..., Any]) -> list[str]:
+    """Names of what makes an environment takes; of a class also those that its `**others` pass on."""
+    names: list[str] = []
+    for each in creator.__mro__ if isinstance(creator, type) else [creator]:
+        found = inspect.signature(each).parameters.values()
+        names += [p.name for p in found if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
+        if all(p.kind is not p.VAR_KEYWORD for p in found):
+            break
+    return list(dict.fromkeys(names))

@@ -1,14 +1,15 @@
-"""What the scripted experts share: a parallel gripper that reaches down from above, varied as people vary."""
+"""What the scripted experts share: waypoints of what takes hold, varied as people vary."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, ClassVar
 
 import mink
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cei_envs.experts.grip import Grip, grip_between_pads
 from cei_envs.experts.plan import Waypoint, grip_pose, plan
 from cei_envs.experts.variation import Variation
 from cei_gym.arrays import Array
@@ -42,8 +43,11 @@ class Expert(ABC):
         """How it varies, as JSON types, for the dataset's metadata."""
 
 
-class GripperExpert(Expert):
-    """A script for an arm with a parallel gripper: the grip site's waypoints, varied as people vary."""
+class ScriptedExpert(Expert):
+    """A script: waypoints of a grip, varied as people vary."""
+
+    grip: Grip | None = None
+    """What goes through them; None for the grip site of robosuite's grippers."""
 
     def __init__(self, embodiment: Embodiment, T_world_base: Array, seed: int, variation: float = 1.0) -> None:
         self.embodiment, self._T_base_world = embodiment, np.linalg.inv(T_world_base)
@@ -58,11 +62,11 @@ class GripperExpert(Expert):
         """See `Expert.plan`."""
         waypoints = self.waypoints(np.asarray(environment_state, float))
         start = np.asarray(agent_pos, float)
-        return plan(self.embodiment, start, waypoints, self.variation.jitter_m, self._rng)
+        return plan(self.embodiment, start, waypoints, self.variation.jitter_m, self._rng, self.grip)
 
     @abstractmethod
     def waypoints(self, state: Array) -> Sequence[Waypoint]:
-        """The grip site's way from a state (k,) of the task's objects."""
+        """The grip's way from a state (k,) of the task's objects."""
 
     def waypoint(self, position_world: Array, rotation: Rotation, closed: float, frames: int) -> Waypoint:
         """At this expert's own speed."""
@@ -74,8 +78,58 @@ class GripperExpert(Expert):
             self.variation.frames(frames),
         )
 
+
+class ReachesDown(ScriptedExpert, ABC):
+    """A script that comes from above."""
+
+    @abstractmethod
     def reaching_down(self, closing_yaw_rad: float) -> Rotation:
-        """Orientation of the grip site in the world: pointing down, the fingers closing along a heading; leaning as varied."""
+        """Orientation of the grip in the world: pointing down, the fingers closing along a heading; leaning as varied."""
+
+
+class PadExpert(ReachesDown):
+    """A script for any hand whose first pad opposes its others: its grip is between them, where what it takes hold of will be."""
+
+    width_m: ClassVar[float]
+    """Of what it takes hold of, across."""
+
+    def __init__(self, embodiment: Embodiment, T_world_base: Array, seed: int, variation: float = 1.0) -> None:
+        super().__init__(embodiment, T_world_base, seed, variation)
+        self.grip = self.make_grip()
+
+    def make_grip(self) -> Grip:
+        """How its hand takes hold; by default between home and closed."""
+        return grip_between_pads(self.embodiment, self.width_m)
+
+    def facing(self, approach_world: Array, closing_world: Array) -> Rotation:
+        """Orientation of the grip in the world.
+
+        Args:
+            approach_world: (3,) where the palm looks.
+            closing_world: (3,) from the first pad to the others; what of it is not across the approach counts.
+        """
+        z = np.asarray(approach_world, float) / np.linalg.norm(approach_world)
+        y = closing_world - z * (z @ closing_world)
+        y /= np.linalg.norm(y)
+        return Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1))
+
+    def reaching_down(self, closing_yaw_rad: float) -> Rotation:
+        """See `ReachesDown`; of a gripper's two ways the same one for like headings, so that demonstrations of a task are of one kind."""
+        v = self.variation
+        _, home_base = grip_pose(self.embodiment, self.embodiment.home, self.grip)
+        x, y, _ = self._T_base_world[:3, :3].T @ home_base.as_matrix()[:, 1]
+        turn = closing_yaw_rad - np.arctan2(y, x)
+        # From home by less than 150 degrees one way and 30 the other: no task asks for a heading at these ends.
+        yaw = closing_yaw_rad - np.pi * np.floor((turn + np.pi / 6) / np.pi)
+        along = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        return Rotation.from_euler("xyz", [*v.tilt_rad, v.yaw_rad]) * self.facing(np.array([0.0, 0.0, -1.0]), along)
+
+
+class GripperExpert(ReachesDown):
+    """A script for an arm with a parallel gripper of robosuite's, which reaches down from above."""
+
+    def reaching_down(self, closing_yaw_rad: float) -> Rotation:
+        """See `ReachesDown`."""
         v = self.variation
         _, home = grip_pose(self.embodiment, self.embodiment.home)
         down = upright(home)

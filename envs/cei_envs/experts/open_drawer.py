@@ -1,10 +1,11 @@
-"""A scripted expert for OpenDrawer with a parallel gripper."""
+"""Scripted experts for OpenDrawer with a parallel gripper: one of robosuite's, or any by its pads."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 from scipy.spatial.transform import Rotation
 
-from cei_envs.experts.expert import GripperExpert
+from cei_envs.experts.expert import GripperExpert, PadExpert, ReachesDown
 from cei_envs.experts.plan import Waypoint
 from cei_envs.tasks.cube import TABLE_Z_M
 from cei_gym.arrays import Array
@@ -14,7 +15,7 @@ _ABOVE_M = 0.10
 _PULL_M = 0.125
 
 
-class OpenDrawerExpert(GripperExpert):
+class _OpensDrawer(ReachesDown):
     """Reach over the handle, descend until the fingers straddle it, close, pull."""
 
     def waypoints(self, state: Array) -> Sequence[Waypoint]:
@@ -32,3 +33,13 @@ class OpenDrawerExpert(GripperExpert):
             self.waypoint(grasp, rotation, 1.0, 10),
             self.waypoint(pulled, rotation, 1.0, 30),
         ]
+
+
+class OpenDrawerExpert(_OpensDrawer, GripperExpert):
+    """With the grip site at the handle."""
+
+
+class OpenDrawerPadExpert(_OpensDrawer, PadExpert):
+    """With the handle between the pads."""
+
+    width_m: ClassVar[float] = 0.016

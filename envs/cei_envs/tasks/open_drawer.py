@@ -58,9 +58,9 @@ class OpenDrawerEnv(CEIEnv):
     )
 
     def make_robosuite(self, **robot_arguments: Any) -> Any:
-        from cei_envs.tasks.cabinet import OpenDrawer
+        from cei_envs.tasks.tabletop import Tabletop
 
-        return OpenDrawer(**robot_arguments)
+        return Tabletop({"cabinet": False}, **robot_arguments)
 
     def workspace_world(self) -> Array:
         return np.array([[-0.35, -0.35, TABLE_Z_M + 0.004], [0.35, 0.35, TABLE_Z_M + 0.45]])
