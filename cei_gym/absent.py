@@ -6,11 +6,15 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import gymnasium as gym
+from gymnasium.envs.registration import EnvSpec
 
 from cei_gym import extras
 from cei_gym.errors import CEIError
 
-TASKS = ("OpenDrawer", "PickCube", "StackCube")
+TASKS = (
+    *("OpenDrawer", "PickCube", "StackCube"),
+    *("PushCube", "PlaceBird", "PressButton", "PickCup", "PackageBread", "InsertFlower"),
+)
 """The tasks of `cei_envs`."""
 
 _FOLDERS = "CEI_GYM_EMBODIMENTS"  # the catalogue's, which is not imported where nobody has robots of their own
@@ -32,7 +36,7 @@ def register() -> None:
             warnings.warn(str(error), stacklevel=2)
     for name in (f"CEI-{task}-{robot}" for task in TASKS for robot in robots):
         if name not in gym.registry:
-            gym.register(name, unavailable, kwargs={"env_id": name})
+            gym.registry[name] = EnvSpec(name, unavailable, kwargs={"env_id": name})  # as cei_envs.registration has it
 
 
 def unavailable(env_id: str, **_: Any) -> NoReturn:

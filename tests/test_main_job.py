@@ -277,7 +277,7 @@ def test_the_environment_starts_where_each_motion_does(job: Path, tmp_path: Path
 
     found, first = starts(job / "target")
     assert len(found) == 1
-    assert np.abs(found[0] - first).max() < 0.2  # the starts differ by what the recorded ones do
+    assert np.abs(found[0] - first).max() < 0.3  # the starts differ by what the recorded ones do
     two = ["--init.modes=2", "--new_repo_id=me/two", f"--new_root={tmp_path / 'two'}"]
     assert convert.main([*source_options(job), f"--target={TARGET}", *two]) == 0
     found, first = starts(tmp_path / "two")

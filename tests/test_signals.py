@@ -54,7 +54,7 @@ def options(name: str, source: Path) -> list[str]:
             "--json=r.json",
         ],
         "cei-convert": [arg for arg in killed.arguments(source, Path("a/x"), "--workers=4") if "--init" not in arg],
-        "cei-inspect": [*dataset, f"--source={killed.ROBOT}", "--save_map=m.yaml", "--json=r.json"],
+        "cei-inspect": [*dataset, f"--source={killed.ROBOT}", "--json=r.json"],
         "cei-replay": [*dataset, "--env=CEI-PickCube-Panda-PandaGripper", "--json=r.json"],
         "cei-pads": ["--end_effector=Inspire", "--output=a/p.png", "--points=20000"],
         "cei-robot": ["new", "package://robosuite/models/assets/grippers/rethink_gripper.xml", "--output=a"],

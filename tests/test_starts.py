@@ -214,4 +214,4 @@ def test_a_hand_that_comes_from_the_other_side_than_the_sources_costs_more() -> 
         found = judge(follower, [motion], u, [Track(np.tile(u, (4, 1)), np.zeros(4), np.zeros(4))])
         assert found.side == pytest.approx((1 - side) / 2, abs=1e-6)
         costs.append(found.cost)
-    assert costs[1] - costs[0] == pytest.approx(0.02, abs=1e-6)
+    assert costs[1] - costs[0] == pytest.approx(0.01, abs=1e-6)

@@ -20,7 +20,7 @@ from cei_gym.errors import CEIError
 _PENETRATION_WEIGHT = 1.0  # metres of objective a metre of penetration
 _OVERLAP_WEIGHT = 0.5  # metres of objective a metre that a link is in an object
 _MISS_WEIGHT = 1.0  # metres of objective a metre between contact points and the source's
-_SIDE_WEIGHT = 0.02  # metres of objective for a hand that comes from the opposite side of the source's, where nobody knows what is in the way
+_SIDE_WEIGHT = 0.01  # metres of objective for a hand that comes from the opposite side of the source's, where nobody knows what is in the way
 _TORQUE_WEIGHT = 0.3  # metres of objective for static torque a full limit above the allowed share: such an arm sinks
 _TORQUE_SHARE = 0.8
 _LAG_WEIGHT = 0.05  # metres of objective if some joint moves as fast as it can in all frames

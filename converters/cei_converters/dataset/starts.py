@@ -14,8 +14,8 @@ from cei_converters.dataset.metadata import restore_with
 from cei_gym.arrays import Array
 from cei_gym.errors import CEIError, one_line
 
-SAME_RAD = 0.25
-"""Starts whose joints differ by less, rad or m, are of one motion: two motions of a conversion are 0.5 apart (`init.modes`)."""
+SAME_RAD = 0.45
+"""Starts whose joints differ by less, rad or m, are of one motion: hands of two motions of a conversion are 60 degrees or 10 cm apart (`init.modes`)."""
 _FRAME = "frame_index"
 
 
