@@ -149,3 +149,11 @@ def v21(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("old") / "pick"
     other_formats.write_v21(root)
     return root
+
+
+@pytest.fixture(scope="module")
+def third_party_robots() -> Iterator[None]:
+    """Those of ../shared are found by their packages' names; see `third_party.needs_robots`."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CEI_GYM_PACKAGE_PATH", str(Path(__file__).parents[2] / "shared/robots"))
+        yield

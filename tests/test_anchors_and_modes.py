@@ -3,7 +3,7 @@
 import json
 import pickle
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import draccus
@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from PIL import Image
+from third_party import needs_robots
 
 import cei_gym  # noqa: F401  (registers the environments)
 from cei_converters.benchmark import anchors_picture, anchors_report, command, modes_report, paper
@@ -26,27 +27,15 @@ from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from lerobot_env_cei import CEIEnvConfig
 
-SHARED = Path(__file__).parents[2] / "shared"
 TINY = ["--jobs=1", "--episode_length=6", "--training.steps=2", "--training.batch_size=4", "--training.points=32"]
 ONE_ANCHOR = ["anchors", "--anchors=9", "--grid=2", "--trials=2", *TINY]
 ONE_PATTERN = ["modes", "--patterns=pattern_2", "--episodes=1", "--demonstrations=1", "--trials=1", *TINY]
 BUTTON = "CEI-PressButton-Panda-PandaGripper"
 CONVERT = ["--dataset.repo_id=me/any", "--target=UR5e-Inspire", "--dry_run"]
 
-needs_robots = pytest.mark.skipif(
-    not (SHARED / "robots").is_dir(), reason="third-party descriptions are not in ../shared/robots"
-)
-
 
 @pytest.fixture(scope="module")
-def robots() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CEI_GYM_PACKAGE_PATH", str(SHARED / "robots"))
-        yield
-
-
-@pytest.fixture(scope="module")
-def anchors(robots: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def anchors(third_party_robots: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`results` and `work` of one anchor: replayed, trained, tried."""
     folder = tmp_path_factory.mktemp("anchors")
     assert command.main([*ONE_ANCHOR, *places(folder), "--stage=evaluate"]) == 1  # nothing is trained yet
@@ -57,7 +46,7 @@ def anchors(robots: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def modes(robots: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def modes(third_party_robots: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`results` and `work` of one demonstration: replayed in both motions, one of them learnt."""
     folder = tmp_path_factory.mktemp("modes")
     assert command.main([*ONE_PATTERN, *places(folder), "--stage=replay"]) == 0
@@ -300,8 +289,8 @@ def test_a_conversion_may_take_one_of_its_modes_alone() -> None:
     config = parse(ConvertConfig, [*CONVERT, "--init=eis", "--init.modes=2", "--init.mode=1"], "cei-convert", "")
     assert (config.init.method, config.init.modes, config.init.mode) == ("eis", 2, 1)
     for options, said in (
-        (["--init.modes=2", "--init.mode=2"], "--init.mode=2 is one of --init.modes=2, counted from 0"),
-        (["--init.mode=0"], "--init.mode=0 is one of --init.modes=1, counted from 0, which should be at least 2."),
+        (["--init.modes=2", "--init.mode=2"], "init.mode=2 is one of init.modes=2, counted from 0"),
+        (["--init.mode=0"], "init.mode=0 is one of init.modes=1, counted from 0, which should be at least 2."),
         (["--init.modes=2", "--init.mode=-1"], "init.mode=-1 must be at least 0."),
     ):
         with pytest.raises(CEIError, match=said):

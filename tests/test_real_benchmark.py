@@ -3,13 +3,14 @@
 import csv
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import av
 import numpy as np
 import pytest
 from PIL import Image
+from third_party import SHARED, needs_robots
 
 from cei_converters.benchmark import command, paper
 from cei_converters.benchmark.figures import Manifest
@@ -22,27 +23,15 @@ from cei_converters.dataset.metadata import Metadata
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.embodiment import load_embodiment
 
-SHARED = Path(__file__).parents[2] / "shared"
 PAPER = SHARED / "paper/real_world.csv"
 SMOKE = ["real", "--tasks=PushCube", "--episodes=1", "--demonstrations=1", "--trials=1", "--jobs=1"]
 SMALL = ["--episode_length=6", "--training.steps=2", "--training.batch_size=4", "--training.points=32"]
 REPLAYS = ["PushCube-UR5e-AG95", "PushCube-UR5e-XHand"]
 POLICIES = ["PushCube-UR5e-AG95-source-0", "PushCube-UR5e-XHand-cei-0"]
 
-needs_robots = pytest.mark.skipif(
-    not (SHARED / "robots").is_dir(), reason="third-party descriptions are not in ../shared/robots"
-)
-
 
 @pytest.fixture(scope="module")
-def robots() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CEI_GYM_PACKAGE_PATH", str(SHARED / "robots"))
-        yield
-
-
-@pytest.fixture(scope="module")
-def folder(robots: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(third_party_robots: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`results` and `work`: replayed, then everything, with a film of what was replayed already."""
     folder = tmp_path_factory.mktemp("real")
     assert command.main([*SMOKE, *SMALL, *places(folder), "--stage=replay"]) == 0

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from rollouts import make, wander
 from scipy.spatial.transform import Rotation
+from third_party import needs_robots
 
 from cei_envs.experts import make_expert
 from cei_envs.registration import tasks
@@ -21,7 +21,6 @@ from cei_gym.embodiment import load_embodiment
 PANDA = "Panda-PandaGripper"
 TASKS = ("PushCube", "PlaceBird", "PickCup", "PackageBread", "InsertFlower", "PressButton")
 FIRST = dict.fromkeys(TASKS, "never grasped") | {"PushCube": "never pushed", "PressButton": "never touched"}
-SHARED = Path(__file__).parents[2] / "shared/robots"
 SPREAD_M, SPREAD_RAD = 0.16, np.radians(40)
 CONTROL_S, HELD_S = 0.05, 1.0
 
@@ -66,10 +65,6 @@ def put(env: ObjectsEnv, thing: Placed, position_world: np.ndarray, rotation: Ro
 def place(env: ObjectsEnv, thing: Placed) -> np.ndarray:
     """(3,) where its frame is."""
     return thing.T_world(env.simulation)[:3, 3]
-
-
-def fly_clear(env: ObjectsEnv, thing: Placed) -> None:
-    assert not env.simulation.touching(thing.geoms(env.simulation), env.simulation.robot_geoms)
 
 
 # -- contract --------------------------------------------------------------------------------------------------------
@@ -287,19 +282,17 @@ OF_THE_PAPER = {
 }
 
 
-@pytest.mark.skipif(not SHARED.exists(), reason="../shared/robots is not there")
+@needs_robots
 @pytest.mark.parametrize(("robot", "task"), [(robot, task) for robot, each in OF_THE_PAPER.items() for task in each])
-def test_the_papers_robots_have_demonstrators(robot: str, task: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CEI_GYM_PACKAGE_PATH", str(SHARED))
+def test_the_papers_robots_have_demonstrators(robot: str, task: str, third_party_robots: None) -> None:
     env = make(task, robot, clouds=False)
     assert [demonstrates(env, seed) for seed in range(40, 46)] == [""] * 6
     env.close()
 
 
-@pytest.mark.skipif(not SHARED.exists(), reason="../shared/robots is not there")
-def test_demonstrations_of_a_task_reach_down_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+@needs_robots
+def test_demonstrations_of_a_task_reach_down_alike(third_party_robots: None) -> None:
     """A gripper's two ways to close along a line are half a turn apart; a dataset that mixed them would make a hand do two things."""
-    monkeypatch.setenv("CEI_GYM_PACKAGE_PATH", str(SHARED))
     robot, turns = load_embodiment("UR5e-AG95"), []
     for yaw in (-0.25, -0.05, 0.05, 0.25):
         expert = make_expert("OpenDrawer", robot, np.eye(4), seed=0, variation=0.0)

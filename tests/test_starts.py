@@ -16,8 +16,11 @@ from cei_gym.alignment.problem import Track
 from cei_gym.alignment.solvers.newton import NewtonSolver
 from cei_gym.alignment.start.basins import Basin, choose_modes, judge, judge_basins, kinds
 from cei_gym.alignment.start.starts import elite_starts, find_basins, random_starts, unwrap
+from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.errors import CEIError
 from cei_gym.functional import directional_chamfer_distance
+from cei_gym.kinematics import KinematicTree
+from cei_gym.transfer import Transfer, TransferOptions
 
 OPTIONS = SolverOptions()
 
@@ -30,14 +33,19 @@ def panda_frame(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return problem.place(np.clip(u, lower, upper))
 
 
-def drawer_pull(frames: int = 30) -> tuple[np.ndarray, np.ndarray]:
-    """OpenDrawer-like: the Panda, its pads one above the other about a handle, draws back by some 15 cm."""
+def drawer_joints(frames: int = 30) -> np.ndarray:
+    """(T, 8) OpenDrawer-like: the Panda, its pads one above the other about a handle, draws back by some 15 cm."""
     problem = problem_of("Panda-PandaGripper")
     start = np.array([0.0, 0.55, 0.0, -2.0, 0.0, 4.1, 0.785, 0.015])
     end = np.array([0.0, 0.05, 0.0, -2.5, 0.0, 4.1, 0.785, 0.015])
     s = np.linspace(0, 1, frames)[:, None]
     lower, upper = problem.embodiment.independent_limits
-    return problem.place(np.clip(start + s * (end - start), lower, upper))
+    return np.clip(start + s * (end - start), lower, upper)
+
+
+def drawer_pull() -> tuple[np.ndarray, np.ndarray]:
+    """What its pads do."""
+    return problem_of("Panda-PandaGripper").place(drawer_joints())
 
 
 # -- multi-start ---------------------------------------------------------------------------------------------
@@ -215,3 +223,31 @@ def test_a_hand_that_comes_from_the_other_side_than_the_sources_costs_more() -> 
         assert found.side == pytest.approx((1 - side) / 2, abs=1e-6)
         costs.append(found.cost)
     assert costs[1] - costs[0] == pytest.approx(0.01, abs=1e-6)
+
+
+def test_a_demonstration_that_goes_wrong_goes_on_in_the_same_way() -> None:
+    """Nothing is within a micrometre: each of the two ways would be left for the cheaper one, if that were allowed."""
+    source, target = (problem_of(name).embodiment for name in ("Panda-PandaGripper", "UR5e-FourierRight"))
+    qpos = source.coupled.expand(drawer_joints())
+    scene = Scene(np.eye(4), (), np.array([[-1.0, -1.0, 0.0], [1.2, 1.2, 1.2]]))
+    demonstration = Demonstration(source.name, 20.0, qpos, qpos, scene)
+    both = Transfer(source, target, init=InitialisationOptions(modes=2))
+    both.fit([demonstration])
+    for own, other in (both.basins, both.basins[::-1]):
+        one = Transfer(source, target, TransferOptions(unreachable_mm=1e-3))
+        one.start_from([own, other])
+        made, report = one(demonstration)
+        assert len(report.unreachable_frames) == len(made)
+        hand = KinematicTree(target).forward(made.qpos[0])[target.end_effector_root, :3, :3]
+        turned = Rotation.from_matrix(hand) * Rotation.from_matrix(own.hands_base[0, :3, :3]).inv()
+        assert np.degrees(turned.magnitude()) < 60
+
+
+def test_what_physics_may_try_next_is_of_the_kind_where_there_are_modes() -> None:
+    source, target = (problem_of(name).embodiment for name in ("Panda-PandaGripper", "UR5e-FourierRight"))
+    finalists = [basin(0, 0, 0.0), basin(170, 175, 0.001), basin(20, 0, 0.002), basin(180, 180, 0.003)]
+    for modes, tried in ((2, {0: [2], 1: [3]}), (1, {0: [1, 2, 3]})):
+        transfer = Transfer(source, target, init=InitialisationOptions(modes=modes))
+        transfer.start_from(finalists)
+        for mode, expected in tried.items():
+            assert [a.basin for a in transfer.attempts(20, mode) if a.basin is not None] == expected

@@ -100,9 +100,10 @@ class Following:
         self.basins = choose_modes(self.finalists, self._init.modes)
 
     def others(self, mode: int) -> list[int]:
-        """Which finalists are not the mode's own basin."""
+        """Which finalists are not the mode's own basin, best first; of several modes those of its kind, or a mixture would not stay even."""
         own = self.basins[mode % len(self.basins)]
-        return [i for i, basin in enumerate(self.finalists) if basin is not own]
+        rest = [i for i, basin in enumerate(self.finalists) if basin is not own]
+        return [i for i in rest if len(self.basins) == 1 or not are_apart(own, self.finalists[i])]
 
     def follow(self, motion: Motion, mode: int) -> tuple[Followed, AlignmentReport]:
         """Follow a motion from its mode's basin, or from the best of its kind where that goes wrong: episodes of a dataset share a way, but for

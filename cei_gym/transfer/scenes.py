@@ -12,7 +12,6 @@ from cei_gym.errors import CEIError
 from cei_gym.pointcloud import CloudSynthesiser, crop, frame_points
 from cei_gym.pointcloud.attached import attached
 from cei_gym.pointcloud.isolated import isolated
-from cei_gym.pointcloud.near import any_near
 from cei_gym.pointcloud.remember import remember
 
 _ABOVE_SUPPORT_M = 0.005
@@ -20,7 +19,6 @@ _NEAR_HAND_M = 0.2  # what is farther from the source's pads is no obstacle
 _COMPANY_M = 0.02  # within which a point of an object has some others; what has fewer is noise
 _COMPANY = 5  # so many; with three, of a cloud of 30 % outliers some 20 points a frame pass
 _CARRIED_M = 0.005
-_TOUCHED_M = 0.015  # pads are sampled, and depth is some millimetres wrong
 
 
 class Scenes:
@@ -82,22 +80,6 @@ class Scenes:
         tool = attached(objects, hand, middle, ~held, _NEAR_HAND_M)
         objects = [points[~its] for points, its in zip(objects, tool, strict=True)]
         return remember(objects, middle, moved, _NEAR_HAND_M), float(np.mean([its.sum() for its in tool]))
-
-    def touched(
-        self,
-        demonstration: Demonstration,
-        scenes: Sequence[Array],
-        motion: Motion,
-        T_world_target: Array,
-        hand: Array,
-    ) -> Array:
-        """(T,) whether pads are within 1.5 cm of what stands on the support surface; nowhere where nothing was recorded. Arguments as of
-        `obstacles`."""
-        if not scenes:
-            return np.zeros(len(motion.points_base), bool)
-        objects, _ = self.obstacles(demonstration, scenes, motion, T_world_target, hand)
-        near = (any_near(pads, points, _TOUCHED_M) for points, pads in zip(objects, motion.points_base, strict=True))
-        return np.array([*near])
 
     def clouds(
         self, demonstration: Demonstration, scenes: Sequence[Array], qpos: Array, T_world_target: Array

@@ -180,7 +180,7 @@ class Judging:
         following = Following(
             problem,
             self._solver,
-            replace(transfer.init, modes=1),
+            replace(transfer.init, modes=1, mode=None),
             transfer.contact,
             transfer.options.stretch,
             transfer.options.unreachable_mm,

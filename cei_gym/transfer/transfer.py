@@ -21,6 +21,7 @@ from cei_gym.errors import CEIError
 from cei_gym.functional import FunctionalRepresentation, sample_representation
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import CloudOptions, CloudSynthesiser
+from cei_gym.pointcloud.near import any_near
 from cei_gym.transfer.attempt import Attempt, attempts
 from cei_gym.transfer.following import Followed, Following
 from cei_gym.transfer.live import LiveTransfer
@@ -29,13 +30,15 @@ from cei_gym.transfer.scenes import Scenes
 from cei_gym.transfer.source_side import SourceSide
 from cei_gym.transfer.specified import Specified
 
+_TOUCHED_M = 0.015  # pads are sampled, and depth is some millimetres wrong
+
 
 class Transfer:
     """Moves demonstrations from a source to a target embodiment.
 
     One frame-0 basin (or one a mode) serves all demonstrations, so that a policy sees one way of doing things: call `fit`
     with a few demonstrations, or the first one transferred decides. A demonstration that cannot be followed that way
-    takes the best of the others.
+    takes the best of those whose hands do the same, and another way only where none of them reaches it.
 
     Args:
         source: embodiment of the demonstrations.
@@ -197,12 +200,13 @@ class Transfer:
         T_world_target = self._side.T_world_target(demonstration)
         held = np.zeros(len(demonstration), bool) if motion.grip is None else motion.grip.held
         middle = motion.points_base.mean(axis=1) @ T_world_target[:3, :3].T + T_world_target[:3, 3]
-        hand = self._side.hand(demonstration)
         touched = np.zeros(len(held), bool)
         if not held.any():  # where something is, that begins it
-            scenes = self._scenes.without_source(demonstration)
-            touched = self._scenes.touched(demonstration, scenes, motion, T_world_target, hand)
-        return Handling(held, middle, T_world_target @ hand, touched)
+            around = self.motion(demonstration, self._scenes.without_source(demonstration)).surroundings
+            if around is not None and len(around.obstacles_base):
+                pairs = zip(motion.points_base, around.obstacles_base, strict=True)
+                touched = np.array([any_near(pads, objects, _TOUCHED_M) for pads, objects in pairs])
+        return Handling(held, middle, T_world_target @ self._side.hand(demonstration), touched)
 
     def motion(self, demonstration: Demonstration, scenes: Sequence[Array] = ()) -> Motion:
         """What the source's pads do, in the target's base frame; it starts from the target's home.

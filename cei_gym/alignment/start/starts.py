@@ -55,6 +55,10 @@ class InitialisationOptions:
                 raise CEIError(f"init.{name}={getattr(self, name)} must be at most {_MOST}.")
         if self.mode is not None and self.mode < 0:
             raise CEIError(f"init.mode={self.mode} must be at least 0.")
+        if self.mode is not None and not self.mode < self.modes > 1:
+            raise CEIError(
+                f"init.mode={self.mode} is one of init.modes={self.modes}, counted from 0, which should be at least 2."
+            )
         if self.seed < 0:
             raise CEIError(f"init.seed={self.seed} must be at least 0.")
         if (self.method == "given") != (self.qpos is not None):

@@ -45,8 +45,6 @@ class AnchorsConfig:
     def __post_init__(self) -> None:
         check_staged(self, "grid", "trials", "episode_length")
         check_range("--demonstration", self.demonstration, 0)
-        if self.redraw and (self.jobs is not None or self.stage != "all"):
-            raise CEIError("--redraw runs nothing; leave out --jobs and --stage.")
 
 
 def anchors_benchmark(config: AnchorsConfig) -> None:

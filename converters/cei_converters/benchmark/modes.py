@@ -44,8 +44,6 @@ class ModesConfig:
 
     def __post_init__(self) -> None:
         check_staged(self, "episodes", "trials", "episode_length", "demonstrations")
-        if self.redraw and (self.jobs is not None or self.stage != "all"):
-            raise CEIError("--redraw runs nothing; leave out --jobs and --stage.")
 
 
 def modes_benchmark(config: ModesConfig) -> None:

@@ -52,8 +52,8 @@ class RealBenchmarkConfig:
     def __post_init__(self) -> None:
         check_staged(self, "episodes", "trials", "episode_length", "demonstrations")
         check_range("--variation", self.variation, 0, 1)
-        if self.redraw and (self.jobs is not None or self.stage != "all" or self.films):
-            raise CEIError("--redraw runs nothing; leave out --jobs, --stage and --films.")
+        if self.redraw and self.films:
+            raise CEIError("--redraw runs nothing; leave out --films.")
         if self.films and not replays(self.stage):
             raise CEIError(f"--films shows what is replayed, which --stage={self.stage} does not; leave one out.")
 

@@ -27,6 +27,8 @@ def check_staged(config: Any, *counts: str) -> None:
     for name in (*counts, "jobs"):
         check_range(f"--{name}", getattr(config, name), 1)
     check_range("--seed", config.seed, 0)
+    if config.redraw and (config.jobs is not None or config.stage != "all"):
+        raise CEIError("--redraw runs nothing; leave out --jobs and --stage.")
 
 
 def replays(stage: str) -> bool:

@@ -87,10 +87,6 @@ class ConvertConfig:
             raise CEIError(
                 "--clouds.swap=false keeps the source in the clouds, which --augment.* cannot move; leave one out."
             )
-        if self.init.mode is not None and not self.init.mode < self.init.modes > 1:
-            raise CEIError(
-                f"--init.mode={self.init.mode} is one of --init.modes={self.init.modes}, counted from 0, which should be at least 2."
-            )
         check_of_use(self, _idle(self))
 
     @property

@@ -6,8 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cei_envs.tasks.cube import TABLE_Z_M
-from cei_envs.tasks.objects import ObjectsEnv, names_of
+from cei_envs.tasks.objects import names_of
 from cei_envs.tasks.placed import Placed
+from cei_envs.tasks.put_into import PutIntoEnv
 from cei_gym.arrays import Array
 
 BOUQUET, HOLDER, VASE = Placed("bouquet"), Placed("holder", free=False), Placed("vase", free=False)
@@ -16,10 +17,9 @@ VASE_X_M, VASE_Y_M, VASE_PLACEMENT_M = -0.02, 0.13, 0.02
 YAW_RAD = np.radians(20)
 HOLE_BOTTOM_M, HOLE_DEPTH_M, HOLE_PLAY_M = 0.0108, 0.040, 0.0028  # play to each side: the stem leans
 RIM_M, INSERTED_M, INSIDE_M = 0.120, 0.040, 0.022
-LIFTED_M = 0.02
 
 
-class InsertFlowerEnv(ObjectsEnv):
+class InsertFlowerEnv(PutIntoEnv):
     """Put a bouquet into a vase and let go.
 
     Flowers on a stem of 10 mm, 20 cm long in all and 25 g, friction 0.7, stand in a holder on the right of robosuite's table: a fixed
@@ -67,20 +67,8 @@ class InsertFlowerEnv(ObjectsEnv):
         bouquet = _leaning(holder[0], holder[1], rng.uniform(-np.pi, np.pi))
         return np.concatenate([bouquet, HOLDER.at(holder[0], holder[1], yaw), VASE.at(vase[0], vase[1], vase_yaw)])
 
-    def begin(self) -> None:
-        self._start_z, self._highest = BOUQUET.T_world(self.simulation)[2, 3], 0.0
-
-    def is_done(self) -> bool:
-        self._highest = max(self._highest, BOUQUET.T_world(self.simulation)[2, 3] - self._start_z)
-        return self._inserted and self.is_free(BOUQUET)
-
-    def failure_reason(self) -> str:
-        if self._highest < LIFTED_M:
-            return "never grasped"
-        return "not released" if not self.is_free(BOUQUET) else "dropped"
-
     @property
-    def _inserted(self) -> bool:
+    def is_inside(self) -> bool:
         x, y, z, _ = np.linalg.inv(VASE.T_world(self.simulation)) @ BOUQUET.T_world(self.simulation)[:, 3]
         return bool(np.hypot(x, y) < INSIDE_M and 0 < z < RIM_M - INSERTED_M)
 

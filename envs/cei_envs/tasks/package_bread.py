@@ -5,8 +5,9 @@ from typing import ClassVar
 import numpy as np
 
 from cei_envs.tasks.cube import TABLE_Z_M
-from cei_envs.tasks.objects import ObjectsEnv, names_of
+from cei_envs.tasks.objects import names_of
 from cei_envs.tasks.placed import Placed
+from cei_envs.tasks.put_into import PutIntoEnv
 from cei_gym.arrays import Array
 
 BREAD, TOASTER, BAG = Placed("bread"), Placed("toaster", free=False), Placed("bag", free=False)
@@ -17,10 +18,9 @@ RACK_M = 0.035
 MIDDLE_M = (0.0, 0.0, 0.050)  # of the slice
 MOUTH_HALF_M = (0.045, 0.075)
 SUNK_M = 0.070  # its middle above the table, in the bag: it stands on the bottom at 53 mm, and leans
-LIFTED_M = 0.02
 
 
-class PackageBreadEnv(ObjectsEnv):
+class PackageBreadEnv(PutIntoEnv):
     """Take a slice of bread out of a toaster, put it into a bag and let go.
 
     A toasted slice, 100 x 100 x 14 mm and 40 g, friction 0.7, stands in the slot of a toaster, 20 mm wide, and 35 mm of it are out; the
@@ -68,20 +68,8 @@ class PackageBreadEnv(ObjectsEnv):
         bread = BREAD.at(x, y, yaw, TABLE_Z_M + RACK_M)
         return np.concatenate([bread, TOASTER.at(x, y, yaw), BAG.at(bag[0], bag[1], bag_yaw)])
 
-    def begin(self) -> None:
-        self._start_z, self._highest = BREAD.T_world(self.simulation)[2, 3], 0.0
-
-    def is_done(self) -> bool:
-        self._highest = max(self._highest, BREAD.T_world(self.simulation)[2, 3] - self._start_z)
-        return self._inside and self.is_free(BREAD)
-
-    def failure_reason(self) -> str:
-        if self._highest < LIFTED_M:
-            return "never grasped"
-        return "not released" if not self.is_free(BREAD) else "dropped"
-
     @property
-    def _inside(self) -> bool:
+    def is_inside(self) -> bool:
         T_bag_bread = np.linalg.inv(BAG.T_world(self.simulation)) @ BREAD.T_world(self.simulation)
         x, y, z = T_bag_bread[:3, :3] @ MIDDLE_M + T_bag_bread[:3, 3]
         return bool(abs(x) < MOUTH_HALF_M[0] and abs(y) < MOUTH_HALF_M[1] and z < SUNK_M)

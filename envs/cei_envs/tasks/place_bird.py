@@ -4,8 +4,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from cei_envs.tasks.objects import ObjectsEnv, names_of
+from cei_envs.tasks.objects import names_of
 from cei_envs.tasks.placed import Placed
+from cei_envs.tasks.put_into import PutIntoEnv
 from cei_gym.arrays import Array
 
 BIRD, BOX = Placed("bird"), Placed("box", free=False)
@@ -13,10 +14,9 @@ FRONT_X_M, LEFT_Y_M, PLACEMENT_M = -0.02, 0.12, 0.08
 YAW_RAD = np.radians(20)
 BOX_X_M, BOX_Y_M, BOX_PLACEMENT_M = -0.02, -0.13, 0.02
 INSIDE_M, RIM_M = 0.080, 0.080
-LIFTED_M = 0.02
 
 
-class PlaceBirdEnv(ObjectsEnv):
+class PlaceBirdEnv(PutIntoEnv):
     """Put a toy bird into a box and let go.
 
     A rubber bird of five convex parts, 66 x 46 x 44 mm and 70 g, stands on the left of robosuite's table; an open box, 16 x 16 cm inside and
@@ -60,20 +60,8 @@ class PlaceBirdEnv(ObjectsEnv):
         yaws = rng.uniform(-YAW_RAD, YAW_RAD, 2)
         return np.concatenate([BIRD.at(bird[0], bird[1], yaws[0]), BOX.at(box[0], box[1], yaws[1])])
 
-    def begin(self) -> None:
-        self._start_z, self._highest = BIRD.T_world(self.simulation)[2, 3], 0.0
-
-    def is_done(self) -> bool:
-        self._highest = max(self._highest, BIRD.T_world(self.simulation)[2, 3] - self._start_z)
-        return self._inside and self.is_free(BIRD)
-
-    def failure_reason(self) -> str:
-        if self._highest < LIFTED_M:
-            return "never grasped"
-        return "not released" if not self.is_free(BIRD) else "dropped"
-
     @property
-    def _inside(self) -> bool:
+    def is_inside(self) -> bool:
         T_box_bird = np.linalg.inv(BOX.T_world(self.simulation)) @ BIRD.T_world(self.simulation)
         x, y, z = T_box_bird[:3, 3]
         return bool(max(abs(x), abs(y)) < INSIDE_M and z < RIM_M)

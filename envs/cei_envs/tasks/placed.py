@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from cei_envs.simulation import Simulation
+from cei_envs.simulation import Simulation, pose_of
 from cei_envs.tasks.cube import TABLE_Z_M
 from cei_gym.arrays import Array
 
@@ -52,9 +52,7 @@ class Placed:
 
     def T_world(self, simulation: Simulation) -> Array:
         """(4, 4) pose of its frame."""
-        place, T = simulation.data.body(self._body), np.eye(4)
-        T[:3, 3], T[:3, :3] = place.xpos, place.xmat.reshape(3, 3)
-        return T
+        return pose_of(simulation.data, self._body)
 
     def geoms(self, simulation: Simulation) -> Array:
         """Its geoms, of all its bodies."""
