@@ -19,7 +19,9 @@ ROBOT, PATIENCE_S = "Panda-PandaGripper", 60
 
 
 def processes() -> list[psutil.Process]:
-    return [each for each in psutil.Process().children() if any("conversion.writing" in arg for arg in each.cmdline())]
+    """Those that write and live: other tests may have left some that nobody has waited for, which have no command line."""
+    alive = [each for each in psutil.Process().children() if each.status() != psutil.STATUS_ZOMBIE]
+    return [each for each in alive if any("conversion.writing" in arg for arg in each.cmdline())]
 
 
 def test_a_killed_one_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

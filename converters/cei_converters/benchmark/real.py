@@ -50,10 +50,8 @@ class RealBenchmarkConfig:
     redraw: bool = False  # Run nothing: tables and picture of the cells that are finished.
 
     def __post_init__(self) -> None:
-        check_staged(self, "episodes", "trials", "episode_length", "demonstrations")
+        check_staged(self, "episodes", "trials", "episode_length", "demonstrations", running=("jobs", "stage", "films"))
         check_range("--variation", self.variation, 0, 1)
-        if self.redraw and self.films:
-            raise CEIError("--redraw runs nothing; leave out --films.")
         if self.films and not replays(self.stage):
             raise CEIError(f"--films shows what is replayed, which --stage={self.stage} does not; leave one out.")
 

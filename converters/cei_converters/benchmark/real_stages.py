@@ -12,12 +12,13 @@ from cei_gym.errors import CEIError, unknown
 STAGES = ("all", "replay", "policy", "train", "evaluate")
 
 
-def check_staged(config: Any, *counts: str) -> None:
+def check_staged(config: Any, *counts: str, running: Sequence[str] = ("jobs", "stage")) -> None:
     """Check a benchmark's options.
 
     Args:
         config: with `stage`, `seed`, `jobs` and `redraw`.
         counts: names of those that are at least 1.
+        running: names of those that are about running, which `redraw` does not.
 
     Raises:
         CEIError: one is wrong.
@@ -27,8 +28,9 @@ def check_staged(config: Any, *counts: str) -> None:
     for name in (*counts, "jobs"):
         check_range(f"--{name}", getattr(config, name), 1)
     check_range("--seed", config.seed, 0)
-    if config.redraw and (config.jobs is not None or config.stage != "all"):
-        raise CEIError("--redraw runs nothing; leave out --jobs and --stage.")
+    if config.redraw and any(getattr(config, name) != getattr(type(config), name) for name in running):
+        *others, last = (f"--{name}" for name in running)
+        raise CEIError(f"--redraw runs nothing; leave out {', '.join(others)} and {last}.")
 
 
 def replays(stage: str) -> bool:
