@@ -89,6 +89,21 @@ def test_training_sees_other_points_and_joints_each_time_and_the_same_when_repea
     assert all(seen[3][key] is batch[key] for key in batch)  # nothing of it where it acts
 
 
+def test_what_has_learnt_from_points_chosen_at_random_acts_on_some_chosen_at_random():
+    """Always the same: the first of a cloud are spread otherwise than any that it has seen."""
+    policy, batch = DP3Policy(config(points=10, random_points=True)).eval(), windows()
+    seen: list[Tensor] = []
+    encode = policy.model.obs_encoder.forward
+    policy.model.obs_encoder.forward = lambda cloud, state: seen.append(cloud) or encode(cloud, state)
+    for _ in range(2):
+        policy.predict_action_chunk(batch)
+    clouds = policy.model.clouds(batch).flatten(0, 1) * policy.model.cloud_scale + policy.model.cloud_offset
+    chosen = [int((clouds[0] == point).all(dim=1).nonzero()) for point in seen[0][0]]
+    assert len({*chosen}) == 10 and sorted(chosen) != [*range(10)]
+    torch.testing.assert_close(seen[0], clouds[:, chosen], rtol=0, atol=0)
+    torch.testing.assert_close(seen[1], seen[0], rtol=0, atol=0)
+
+
 def test_it_learns_a_constant_and_its_average_acts():
     torch.manual_seed(1)
     policy = DP3Policy(config())

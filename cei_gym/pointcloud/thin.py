@@ -18,7 +18,8 @@ def farthest_point_sample(points: Array, n: int = 1024, seed: int = 0) -> Array:
         seed: of the first point, and of the padding.
 
     Returns:
-        (n, 3 or 6) float32. When N < n: all points, then seeded repeats of them. When N == 0: zeros.
+        (n, 3 or 6) float32, the first so many of which are as well spread as all. When N < n: all points, then seeded repeats of them. When
+        N == 0: zeros.
 
     Raises:
         CEIError: a point is not finite.
@@ -29,14 +30,11 @@ def farthest_point_sample(points: Array, n: int = 1024, seed: int = 0) -> Array:
     if len(points) == 0:
         return np.zeros((n, points.shape[1]), dtype=np.float32)
     random = np.random.default_rng(seed)
-    if len(points) <= n:
-        return np.concatenate([points, points[random.integers(len(points), size=n - len(points))]])
-    start = int(random.integers(len(points)))
-    # Whole blocks: what fills them up lies on the first point chosen, so it is never farthest.
-    axes = np.empty((3, -(-len(points) // _BLOCK) * _BLOCK), dtype=np.float32)
+    start, kept = int(random.integers(len(points))), min(n, len(points))
+    axes = np.zeros((3, -(-len(points) // _BLOCK) * _BLOCK), dtype=np.float32)  # whole blocks
     axes[:, : len(points)] = points[:, :3].T
-    axes[:, len(points) :] = points[start, :3, None]
-    return points[_farthest(axes[0], axes[1], axes[2], n, start)]
+    spread = points[_farthest(axes[0], axes[1], axes[2], len(points), kept, start)]
+    return np.concatenate([spread, spread[random.integers(kept, size=n - kept)]])
 
 
 def first_of_voxels(points: Array, voxel_m: float) -> Array:
@@ -51,17 +49,18 @@ def first_of_voxels(points: Array, voxel_m: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _farthest(x, y, z, n, start):
-    """(n,) indices, each of the point farthest from those before it; the lowest where several are.
+def _farthest(x, y, z, count, n, start):
+    """(n,) indices, no two alike, each of the point farthest from those before it among the first `count`; the lowest where several are.
 
     Looks at all points n times, but eight to sixteen at a time, which beats trees (fpsample's) up to some 30,000 points.
     """
     gap = np.full(len(x), np.float32(np.inf))
+    gap[count:] = -1  # never farthest, nor is what is chosen
     # Squares are not negative, so as integers their bits are in the same order; the largest of those vectorises, of floats it does not.
     blocks = gap.view(np.int32).reshape(-1, _BLOCK)
     chosen, point = np.empty(n, np.int64), start
     for k in range(n):
-        chosen[k] = point
+        chosen[k], gap[point] = point, -1
         px, py, pz = x[point], y[point], z[point]
         for i in range(len(x)):
             dx, dy, dz = x[i] - px, y[i] - py, z[i] - pz

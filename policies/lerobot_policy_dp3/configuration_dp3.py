@@ -42,7 +42,7 @@ class DP3Config(PreTrainedConfig):
         use_colours: look at the colours, too.
         points: how many of the cloud's first points to look at; None for all. In farthest-point order, as CEI-Gym's are, the
             first are as well spread as all.
-        random_points: in training, look at as many points chosen at random, others each time.
+        random_points: look at as many points chosen at random; in training others each time, acting always the same.
         state_noise: in training, standard deviation of noise on normalised states, one draw for all of a window's observations.
             Joints say which of a few demonstrations it is; a policy that goes by them is lost where none was.
         cloud_channels: of the layers applied to each point; None for DP3's (64, 128, 256), with colours (64, 128, 256, 512).

@@ -173,9 +173,16 @@ class DP3Model(DiffusionModel):
         """How many numbers of a point are looked at."""
         return 6 if self.config.use_colours else 3
 
+    def _looked_at(self, count: int) -> Tensor | slice:
+        """Which of so many points: those that `DP3Policy` put first in training; of a policy that has learnt from points chosen at random also
+        some, always the same, chosen at random. The first of a cloud in farthest-point order are spread otherwise than any that it has seen."""
+        if self.config.random_points and not self.training:
+            return torch.randperm(count, generator=torch.Generator().manual_seed(0))[: self.config.points]
+        return slice(self.config.points)
+
     def _prepare_global_conditioning(self, batch: dict[str, Tensor]) -> Tensor:
         """(B, n_obs_steps * features)."""
         state, cloud = batch[OBS_STATE], self.clouds(batch)
-        cloud = cloud[..., : self.config.points, : self._channels]
+        cloud = cloud[..., self._looked_at(cloud.shape[-2]), : self._channels]
         cloud = cloud * cast(Tensor, self.cloud_scale) + cast(Tensor, self.cloud_offset)
         return self.obs_encoder(cloud.flatten(0, 1), state.flatten(0, 1)).reshape(len(state), -1)
