@@ -24,7 +24,7 @@ from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.judge.clearance import Clearance
 from cei_gym.alignment.judge.report import make_report
 from cei_gym.alignment.solvers.newton import NewtonSolver
-from cei_gym.alignment.start.basins import judge_basins
+from cei_gym.alignment.start.basins import judge, ranked
 from cei_gym.alignment.start.starts import active_joints, find_basins, random_starts
 from cei_gym.embodiment import END_EFFECTORS, load_embodiment
 from cei_gym.errors import CEIError
@@ -335,7 +335,8 @@ def test_judging_prefers_the_basin_that_stays_above_the_table(problems: dict) ->
     surroundings = Surroundings(lowest - 0.02)
     motion = Motion(*trajectory, u, surroundings=surroundings)
     options = SolverOptions(iterations=0, clearance=ClearanceOptions(weight=0))
-    judged = judge_basins(Follower(problem, options), [motion], np.array([flipped, u]))
+    follower = Follower(problem, options)
+    judged = ranked([judge(follower, [motion], u0, [follower.follow(replace(motion, u0=u0))]) for u0 in (flipped, u)])
     np.testing.assert_array_equal(judged[0].u, u)
     assert judged[0].cost < judged[1].cost
     assert judged[0].objective == pytest.approx(-0.1)

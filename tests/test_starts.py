@@ -14,7 +14,7 @@ from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.grip import Grip
 from cei_gym.alignment.problem import Track
 from cei_gym.alignment.solvers.newton import NewtonSolver
-from cei_gym.alignment.start.basins import Basin, choose_modes, judge, judge_basins, kinds
+from cei_gym.alignment.start.basins import Basin, choose_modes, judge, judge_basins, kinds, ranked
 from cei_gym.alignment.start.starts import elite_starts, find_basins, random_starts, unwrap
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.errors import CEIError
@@ -189,7 +189,7 @@ def basin(yaw_deg: float, last_deg: float, cost: float, x_m: float = 0.0) -> Bas
     hands = np.tile(np.eye(4), (2, 1, 1))
     hands[:, :3, :3] = Rotation.from_euler("z", [[yaw_deg], [last_deg]], degrees=True).as_matrix()
     hands[:, 0, 3] = x_m
-    return Basin(np.zeros(1), cost, cost, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, hands)
+    return Basin(np.zeros(1), np.array([cost]), cost, cost, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, hands)
 
 
 def test_modes_differ_in_what_hands_do_at_both_ends_and_cost_about_the_same() -> None:
@@ -200,6 +200,17 @@ def test_modes_differ_in_what_hands_do_at_both_ends_and_cost_about_the_same() ->
         choose_modes([best, merges, other, worse], 3)
     away = basin(0, 0, 0.003, x_m=0.2)
     assert choose_modes([best, merges, other, away], 3) == [best, other, away]
+
+
+def test_one_demonstration_that_goes_wrong_does_not_rule_out_what_is_best_for_all_others() -> None:
+    """It costs as much as going another way does, 2 cm more than what that costs."""
+    good, even = (
+        replace(basin(0, 0, np.mean(costs)), costs=np.array(costs))
+        for costs in ([0.01, 0.01, 0.01, 5.0], [0.02, 0.02, 0.02, 0.02])
+    )
+    found = ranked([even, good])
+    np.testing.assert_array_equal([each.costs for each in found], [good.costs, even.costs])
+    np.testing.assert_allclose([each.cost for each in found], [(3 * 0.01 + 0.04) / 4, 0.02])
 
 
 def test_basins_are_of_a_kind_where_hands_meet() -> None:

@@ -20,6 +20,7 @@ from cei_gym.alignment.solvers.solver import Solver
 from cei_gym.arrays import Array
 
 _TOLERATED_M = 1e-3
+_FIRST_FRAME_ITERATIONS = 200
 
 
 class Follower:
@@ -42,6 +43,11 @@ class Follower:
     def _links(self):
         target = make_target(self.problem.representation, self.problem.tree, all_joints=True)
         return target, collision_constraint(self.problem, self.options.clearance)
+
+    def started(self, motion: Motion, u0: Array) -> Motion:
+        """A motion from where its own first frame is solved, the solution of another motion's given: they start alike, not at the same place."""
+        points, normals = motion.points_base[:1], motion.normals_base[:1]
+        return replace(motion, u0=self.solver.track(points, normals, u0, _FIRST_FRAME_ITERATIONS).u[0])
 
     def follow(self, motion: Motion, free: Track | None = None) -> Track:
         """See `follow_all`; `free` is the motion followed freely, if it has been."""

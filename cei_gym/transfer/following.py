@@ -11,11 +11,10 @@ from cei_gym.alignment.judge.report import AlignmentReport, make_report
 from cei_gym.alignment.options import ContactOptions, SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Track
 from cei_gym.alignment.retime import retime
-from cei_gym.alignment.start.basins import Basin, are_apart, choose_modes, judge, judge_basins, kinds
+from cei_gym.alignment.start.basins import ANOTHER_WAY_M, Basin, are_apart, choose_modes, judge, judge_basins, kinds
 from cei_gym.alignment.start.starts import InitialisationOptions, find_basins
 from cei_gym.arrays import Array
 
-_FIRST_FRAME_ITERATIONS = 200
 _FINALISTS = 8
 _TOLERATED_M = 0.005  # of penetration, and of contact points that miss the source's
 
@@ -106,28 +105,29 @@ class Following:
         return [i for i in rest if len(self.basins) == 1 or not are_apart(own, self.finalists[i])]
 
     def follow(self, motion: Motion, mode: int) -> tuple[Followed, AlignmentReport]:
-        """Follow a motion from its mode's basin, or from the best of its kind where that goes wrong: episodes of a dataset share a way, but for
-        those that only another one reaches."""
+        """Follow a motion from its mode's basin, or where that goes wrong from another that is clearly better: episodes of a dataset share a way,
+        and policies learn from what is done alike. One of another kind must be better by far, or reach what its own does not."""
         own = self.basins[mode % len(self.basins)]
         best = self._follow_from(own, motion)
         report = self.report(best.motion, best.track)
         if not (report.unreachable_frames or best.wrong):
             return best, report
         like = [each for each in self.finalists if not are_apart(own, each)]
-        best = self._best([best], like, motion)
+        best = self._better(best, like, motion, ANOTHER_WAY_M)
         report = self.report(best.motion, best.track)
-        if report.unreachable_frames and len(self.basins) == 1:
-            other = self._best([best], [each for each in self.finalists if each not in like], motion)
+        if (report.unreachable_frames or best.wrong) and len(self.basins) == 1:
+            unlike = [each for each in self.finalists if each not in like]
+            other = self._better(best, unlike, motion, 0.0 if report.unreachable_frames else 2 * ANOTHER_WAY_M)
             reached = self.report(other.motion, other.track)
-            if len(reached.unreachable_frames) < len(report.unreachable_frames):
+            if not report.unreachable_frames or len(reached.unreachable_frames) < len(report.unreachable_frames):
                 return other, reached
         return best, report
 
-    def _best(self, followed: list[_FollowedFrom], others: Sequence[Basin], motion: Motion) -> _FollowedFrom:
-        """The one that costs least, of those followed already and those followed from others."""
-        return min(
-            [*followed, *(self._follow_from(other, motion) for other in others)], key=lambda each: each.basin.cost
-        )
+    def _better(self, own: _FollowedFrom, others: Sequence[Basin], motion: Motion, by_m: float) -> _FollowedFrom:
+        """The one of the others that costs least, if that is less than its own by so much, else its own."""
+        followed = [self._follow_from(other, motion) for other in others]
+        best = min(followed, key=lambda each: each.basin.cost, default=own)
+        return best if best.basin.cost < own.basin.cost - by_m else own
 
     def follow_from(self, finalist: int, motion: Motion) -> tuple[Followed, AlignmentReport]:
         """Follow a motion from one of the finalists, whatever comes of it."""
@@ -153,9 +153,7 @@ class Following:
         return replace(report, miss=self._reach.explain(motion, track, int(report.pad_distance_mm.argmax())))
 
     def _follow_from(self, basin: Basin, motion: Motion) -> _FollowedFrom:
-        points, normals = motion.points_base[:1], motion.normals_base[:1]
-        u0 = self._follower.solver.track(points, normals, basin.u, _FIRST_FRAME_ITERATIONS).u[0]
-        motion = replace(motion, u0=u0)
+        motion = self._follower.started(motion, basin.u)
         frames, free = retime(self._problem, self._follower.solver, self._options, motion, self._stretch)
         motion = motion.at(frames)
         track = self._follower.follow(motion, free)

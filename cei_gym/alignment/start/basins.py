@@ -19,7 +19,7 @@ from cei_gym.errors import CEIError
 
 _PENETRATION_WEIGHT = 1.0  # metres of objective a metre of penetration
 _OVERLAP_WEIGHT = 0.5  # metres of objective a metre that a link is in an object
-_MISS_WEIGHT = 1.0  # metres of objective a metre between contact points and the source's
+_MISS_WEIGHT = 2.0  # metres of objective a metre between contact points and the source's
 _SIDE_WEIGHT = 0.01  # metres of objective for a hand that comes from the opposite side of the source's, where nobody knows what is in the way
 _TORQUE_WEIGHT = 0.3  # metres of objective for static torque a full limit above the allowed share: such an arm sinks
 _TORQUE_SHARE = 0.8
@@ -28,7 +28,12 @@ _MARGIN_WEIGHT = 0.01  # metres of objective if some arm joint is near a limit i
 _NEAR_LIMIT_RAD = 0.05
 _APART_RAD, _APART_M = np.pi / 3, 0.1  # the hands of two modes are turned, or away, by this much
 _WORSE_M = 0.015  # how much more than the best a further mode may cost
+ANOTHER_WAY_M = (
+    0.02  # cost of a demonstration that had better go another way: it does, and is one that others are not like
+)
 _CHECKED_FRAMES = 20  # of each demonstration, for penetration and torque
+_WORST = ("penetration_m", "overlap_m", "torque_share", "joint_step_rad")
+_MEANS = ("cost", "objective", "side", "contact_miss_m", "lag_share", "limit_share")  # over demonstrations
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +42,8 @@ class Basin:
 
     Attributes:
         u: (m,) independent joints at frame 0, rad or m.
-        cost: metres; mean objective plus penalties (lower is better).
+        costs: (M,) of each demonstration, metres; its mean objective plus penalties (lower is better).
+        cost: their mean, where each counts at most what it costs to go another way.
         objective: metres; mean DCD over the demonstrations.
         penetration_m: deepest contact of the target with itself, the support surface or its stand.
         overlap_m: deepest a link is in an object that the cloud shows, but for pads in what is gripped.
@@ -51,6 +57,7 @@ class Basin:
     """
 
     u: Array
+    costs: Array
     cost: float
     objective: float
     penetration_m: float
@@ -68,15 +75,28 @@ def judge_basins(follower: Follower, motions: Sequence[Motion], basins: Array, r
     """Follow each basin through whole demonstrations; best first.
 
     Args:
-        motions: the demonstrations; their `u0` is replaced by each basin.
+        motions: the demonstrations; their `u0` is replaced by what each basin is there.
         basins: (K, m) frame-0 solutions.
         refine: carry contact over too.
     """
-    tracks = follower.follow_all([replace(motion, u0=u0) for u0 in basins for motion in motions], refine)
-    each = [tracks[i * len(motions) : (i + 1) * len(motions)] for i in range(len(basins))]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
+        pairs = [(motion, u0) for u0 in basins for motion in motions]
+        tracks = follower.follow_all(list(pool.map(lambda pair: follower.started(*pair), pairs)), refine)
+        each = [tracks[i * len(motions) : (i + 1) * len(motions)] for i in range(len(basins))]
         judged = list(pool.map(lambda x: judge(follower, motions, *x), zip(basins, each, strict=True)))
-    return sorted(judged, key=lambda b: b.cost)
+    return ranked(judged)
+
+
+def ranked(basins: Sequence[Basin]) -> list[Basin]:
+    """Basins, best first: a demonstration counts at most what it costs to go another way, so that one that goes badly wrong does not rule out
+    what is best for all others.
+
+    Args:
+        basins: judged on the same demonstrations.
+    """
+    another_way = np.min([basin.costs for basin in basins], axis=0) + ANOTHER_WAY_M
+    judged = [replace(basin, cost=float(np.minimum(basin.costs, another_way).mean())) for basin in basins]
+    return sorted(judged, key=lambda basin: (basin.cost, basin.costs.mean()))
 
 
 def choose_modes(basins: Sequence[Basin], modes: int) -> list[Basin]:
@@ -89,7 +109,9 @@ def choose_modes(basins: Sequence[Basin], modes: int) -> list[Basin]:
     Raises:
         CEIError: there are fewer that are as free of penetration and nearly as close as the best.
     """
-    chosen = [kind[0] for kind in kinds(basins) if kind[0].cost - basins[0].cost < _WORSE_M][:modes]
+    first, *further = (kind[0] for kind in kinds(basins))
+    # Demonstrations of a further mode go no other way than its own.
+    chosen = [first, *(each for each in further if each.costs.mean() - first.cost < _WORSE_M)][:modes]
     if len(chosen) < modes:
         raise CEIError(
             f"init.modes={modes}, but only {len(chosen)} distinct good motions were found, whose hands are "
@@ -119,40 +141,42 @@ def are_apart(one: Basin, other: Basin) -> bool:
 
 
 def judge(follower: Follower, motions: Sequence[Motion], u0: Array, tracks: Sequence[Track]) -> Basin:
-    """What a basin's tracks cost."""
+    """What a basin's tracks of demonstrations cost; `cost` is the mean of all of it, as if there were no other way."""
+    each = [_judge(follower, motion, u0, track) for motion, track in zip(motions, tracks, strict=True)]
+    worst = {name: max(getattr(basin, name) for basin in each) for name in _WORST}
+    means = {name: float(np.mean([getattr(basin, name) for basin in each])) for name in _MEANS}
+    return replace(each[0], costs=np.concatenate([basin.costs for basin in each]), **worst, **means)
+
+
+def _judge(follower: Follower, motion: Motion, u0: Array, track: Track) -> Basin:
+    """What it does in one demonstration."""
     embodiment = follower.problem.embodiment
     lower, upper = embodiment.independent_limits
     arm = embodiment.coupled.independent < embodiment.n_arm
-    u = np.concatenate([t.u for t in tracks])
-    near = np.minimum(u - lower, upper - u) < _NEAR_LIMIT_RAD
-    step, lag, penetration, overlap, torque = 0.0, 0, 0.0, 0.0, 0.0
-    missed, sides = [], []
-    for motion, track in zip(motions, tracks, strict=True):
-        moved = np.abs(np.diff(track.u, axis=0))
-        step = max(step, float(moved.max(initial=0.0)))
-        if motion.dt_s and follower.options.velocity_scale > 0:
-            fastest = embodiment.independent_max_velocity * motion.dt_s * follower.options.velocity_scale
-            lag += int(np.any(moved > 0.999 * fastest, axis=1).sum())
-        qpos = embodiment.coupled.expand(track.u[:: max(1, len(track.u) // _CHECKED_FRAMES)])
-        support_z = motion.surroundings.support_z_base_m if motion.surroundings else -np.inf
-        deepest, hardest = follower.clearance.worst(qpos, support_z)
-        overlap = max(overlap, float(follower.overlap_m(motion, track.u).max()))
-        if motion.grip is not None:
-            sides.append(_side(follower.problem, motion, track))
-        if track.contact_miss_m is not None and motion.grip is not None:
+    near = np.minimum(track.u - lower, upper - track.u) < _NEAR_LIMIT_RAD
+    moved = np.abs(np.diff(track.u, axis=0))
+    lag = 0.0
+    if motion.dt_s and follower.options.velocity_scale > 0:
+        fastest = embodiment.independent_max_velocity * motion.dt_s * follower.options.velocity_scale
+        lag = float(np.any(moved > 0.999 * fastest, axis=1).sum()) / len(track.u)
+    qpos = embodiment.coupled.expand(track.u[:: max(1, len(track.u) // _CHECKED_FRAMES)])
+    support_z = motion.surroundings.support_z_base_m if motion.surroundings else -np.inf
+    penetration, torque = follower.clearance.worst(qpos, support_z)
+    overlap = float(follower.overlap_m(motion, track.u).max())
+    side = miss = 0.0
+    if motion.grip is not None:
+        side = _side(follower.problem, motion, track)
+        if track.contact_miss_m is not None:
             held = motion.grip.held if motion.grip.held.any() else np.ones(len(track.u), bool)
-            missed.append(track.contact_miss_m[held].mean())
-        penetration, torque = max(penetration, deepest), max(torque, hardest)
-    objective = float(np.mean(np.concatenate([t.objective for t in tracks])))
-    lag_share, limit_share = lag / len(u), float(near[:, arm].any(axis=1).mean())
+            miss = float(track.contact_miss_m[held].mean())
+    objective, limits = float(track.objective.mean()), float(near[:, arm].any(axis=1).mean())
     cost = objective + _PENETRATION_WEIGHT * penetration + _TORQUE_WEIGHT * max(0.0, torque - _TORQUE_SHARE)
-    miss = float(np.mean(missed)) if missed else 0.0
-    side = float(np.mean(sides)) if sides else 0.0
     cost += _OVERLAP_WEIGHT * overlap + _MISS_WEIGHT * miss + _SIDE_WEIGHT * side
-    cost += _LAG_WEIGHT * lag_share + _MARGIN_WEIGHT * limit_share
-    ends = embodiment.coupled.expand(tracks[0].u[[0, -1]])
-    hands = follower.problem.tree.forward(ends)[:, embodiment.end_effector_root]
-    return Basin(u0, cost, objective, penetration, overlap, side, miss, torque, lag_share, limit_share, step, hands)
+    cost += _LAG_WEIGHT * lag + _MARGIN_WEIGHT * limits
+    step = float(moved.max(initial=0.0))
+    hands = follower.problem.tree.forward(embodiment.coupled.expand(track.u[[0, -1]]))[:, embodiment.end_effector_root]
+    costs = np.array([cost])
+    return Basin(u0, costs, cost, objective, penetration, overlap, side, miss, torque, lag, limits, step, hands)
 
 
 def _side(problem: AlignmentProblem, motion: Motion, track: Track) -> float:
