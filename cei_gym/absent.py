@@ -14,6 +14,8 @@ from cei_gym.errors import CEIError
 TASKS = (
     *("OpenDrawer", "PickCube", "StackCube"),
     *("PushCube", "PlaceBird", "PressButton", "PickCup", "PackageBread", "InsertFlower"),
+    *("Pick-Sphere", "Pick-Cylinder", "Pick-LyingCylinder", "Pick-ThinBox", "Pick-Plate", "Pick-Mug", "Pick-Hammer"),
+    *("Pick-Can", "Pick-Lemon", "Pick-Nut"),
 )
 """The tasks of `cei_envs`."""
 
@@ -48,7 +50,7 @@ def unavailable(env_id: str, **_: Any) -> NoReturn:
     from cei_gym.embodiment.catalogue import own_yamls
 
     needs = extras.lacking(env_id, "robosuite")
-    robot = env_id.split("-", 2)[-1]
+    robot = "-".join(env_id.rsplit("-", 2)[1:])
     if found := own_yamls(robot):
         raise extras.MissingExtra(f"{needs} {robot} itself is known: {', '.join(map(str, found))}.")
     raise needs

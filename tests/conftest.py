@@ -22,6 +22,7 @@ SLOW = {
     "test_robot_show": 60,
     "test_lerobot_scripts": 60,
     "test_signals": 60,
+    "test_pick": 60,
     "test_augmentation": 54,
     "test_embodiment": 53,
     "test_policy_benchmark": 50,

@@ -391,14 +391,16 @@ def test_actions_that_cannot_be_are_refused(action: Any, envs: dict[str, CEIEnv]
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"state": np.zeros(11)}, "unknown reset option 'state'. Valid: environment_state, agent_pos."),
+        ({"state": np.zeros(11)}, "unknown reset option 'state'. Valid: environment_state, agent_pos, friction_scale."),
         ({"environment_state": np.zeros(10)}, "'environment_state' is 11 finite numbers"),
         ({"agent_pos": np.zeros(8)}, "'agent_pos' is 9 finite numbers"),
         ({"agent_pos": np.full(9, np.nan)}, "'agent_pos' is 9 finite numbers"),
         ({"agent_pos": "home"}, "'agent_pos' is 9 finite numbers, not <U4 of shape ()"),
         ({"agent_pos": None}, "'agent_pos' is 9 finite numbers, not object of shape ()"),
         ({1: 2}, "unknown reset option '1'"),
-        (3, "reset options are a mapping of environment_state and agent_pos, not 3."),
+        ({"friction_scale": 0.0}, "'friction_scale' is a number above 0, not 0.0."),
+        ({"friction_scale": [1.0, 2.0]}, "'friction_scale' is a number above 0, not [1.0, 2.0]."),
+        (3, "reset options are a mapping of environment_state, agent_pos, friction_scale, not 3."),
     ],
 )
 def test_reset_options_are_checked(options: dict, message: str, envs: dict[str, CEIEnv]) -> None:

@@ -38,7 +38,9 @@ class FakeStage(Stage):
         self.succeeds = succeeds
         self.played: list[Demonstration] = []
 
-    def play(self, demonstration: Demonstration, filmed: bool = False) -> tuple[dict[str, Any], list]:
+    def play(
+        self, demonstration: Demonstration, filmed: bool = False, perturbation: Any = None
+    ) -> tuple[dict[str, Any], list]:
         self.played.append(demonstration)
         success = self.succeeds(self)
         return {"success": success, "failure": "" if success else "slipped"}, []

@@ -6,6 +6,7 @@ Long: one page says all that a task shares with the others and what its author f
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar, cast
 
 import gymnasium as gym
@@ -29,6 +30,7 @@ from cei_gym.untrusted import finite_row
 CLOUD_POINTS = 1024
 MM_PER_M = np.float32(1000)
 START_NOISE_RAD = 0.02
+_RESET_OPTIONS = ("environment_state", "agent_pos", "friction_scale")
 ARM_TOLERANCE_RAD = 0.02
 END_EFFECTOR_TOLERANCE_RAD = 0.05
 END_EFFECTOR_TOLERANCE_M = 0.002
@@ -157,6 +159,9 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
     held_ticks: ClassVar[int] = HELD_TICKS
     """Control periods (1/20 s) in a row for which the task must be done to count."""
 
+    expert_arguments: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    """What its experts are told, beside what all experts are."""
+
     @abstractmethod
     def make_robosuite(self, **robot_arguments: Any) -> Any:
         """The robosuite environment of the task."""
@@ -196,7 +201,8 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
 
         Args:
             seed: of the random start.
-            options: `environment_state` (k,) restores a start exactly; `agent_pos` (n,) sets the robot's joints.
+            options: `environment_state` (k,) restores a start exactly; `agent_pos` (n,) sets the robot's joints; `friction_scale` makes
+                all friction of the episode that times what it is.
 
         Raises:
             CEIError: an unknown option, one of the wrong shape, a seed that is none, or the environment is closed.
@@ -207,17 +213,16 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         self._noise_random = self.np_random.spawn(1)[0]
         asked: Any = {} if options is None else options
         if not isinstance(asked, Mapping):
-            raise CEIError(
-                f"reset options are a mapping of environment_state and agent_pos, not {one_line(asked, 60)}."
-            )
+            raise CEIError(f"reset options are a mapping of {', '.join(_RESET_OPTIONS)}, not {one_line(asked, 60)}.")
         given = cast("Mapping[Any, Any]", asked)
-        if unknown := {str(key) for key in given} - {"environment_state", "agent_pos"}:
-            raise CEIError(f"unknown reset option {min(unknown)!r}. Valid: environment_state, agent_pos.")
+        if unknown := {str(key) for key in given} - {*_RESET_OPTIONS}:
+            raise CEIError(f"unknown reset option {min(unknown)!r}. Valid: {', '.join(_RESET_OPTIONS)}.")
         # Drawn also when restored, and rounded to what datasets store, so that a stored start is the very start.
         state = self.sample_state(self.np_random).astype(np.float32)
         qpos = self._sample_start(self.np_random).astype(np.float32)
         state = self._checked(given, "environment_state", state)
         qpos = self._checked(given, "agent_pos", qpos)
+        self.simulation.scale_friction(_checked_scale(given.get("friction_scale", 1.0)))
         self.simulation.reset(qpos)
         self.apply_state(state)
         self.simulation.forward()
@@ -311,7 +316,9 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         """
         from cei_envs.experts import make_expert  # mink is not needed to run an environment
 
-        return make_expert(self.task, self.embodiment, self.scene.T_world_base, seed, variation)
+        return make_expert(
+            self.task, self.embodiment, self.scene.T_world_base, seed, variation, **self.expert_arguments
+        )
 
     def teleoperator(self, device: str):
         """Hand control of the robot by one of robosuite's devices: "keyboard" or "spacemouse".
@@ -388,6 +395,17 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         success = self._is_success()
         reason = "unreachable" if self._stalled >= STALLED_STEPS else self.failure_reason()
         return {"is_success": success, "failure": "" if success else reason}
+
+
+def _checked_scale(value: Any) -> float:
+    """A factor on friction."""
+    try:
+        (scale,) = finite_row([value], 1)
+    except CEIError:
+        scale = 0.0
+    if scale <= 0:
+        raise CEIError(f"reset option 'friction_scale' is a number above 0, not {one_line(value, 60)}.")
+    return float(scale)
 
 
 def _checked_seed(seed: Any) -> int | None:

@@ -35,6 +35,10 @@ class Task:
 
 _GRIPPER = "PandaGripper"
 _GRIPPERS = (_GRIPPER, "AG95")
+_THINGS = (
+    *("Sphere", "Cylinder", "LyingCylinder", "ThinBox", "Plate", "Mug", "Hammer"),
+    *("Can", "Lemon", "Nut"),
+)
 
 
 def _of_grippers(expert: str) -> dict[str, str]:
@@ -49,6 +53,10 @@ OWN = (
             _GRIPPER: "cei_envs.experts.open_drawer:OpenDrawerExpert",
             "AG95": "cei_envs.experts.open_drawer:OpenDrawerPadExpert",
         },
+    ),
+    *(
+        Task(f"Pick-{thing}", f"cei_envs.tasks.pick:Pick{thing}Env", _of_grippers("pick:PickExpert"))
+        for thing in _THINGS
     ),
     Task("PickCube", "cei_envs.tasks.pick_cube:PickCubeEnv", {_GRIPPER: "cei_envs.experts.pick_cube:PickCubeExpert"}),
     Task(
@@ -92,7 +100,7 @@ def tasks() -> dict[str, Task]:
 
 
 def environment_id(task: str, embodiment: str) -> str:
-    """`CEI-<Task>-<Arm>-<EndEffector>`."""
+    """`CEI-<Task>-<Arm>-<EndEffector>`; a task may have hyphens, a robot has one."""
     return f"CEI-{task}-{embodiment}"
 
 
@@ -116,14 +124,14 @@ def _robots() -> list[str]:
 
 def register() -> None:
     """Register every environment that is not yet; called by `import cei_gym`, and again where robots may have come since."""
-    known = tasks()
-    for name in environment_ids():
-        if name not in gym.registry:
-            _, task, robot = name.split("-", 2)
-            # What gym.register does, less its look at all others for each: of thousands that takes a second.
-            gym.registry[name] = EnvSpec(
-                name,
-                known[task].environment,
-                max_episode_steps=known[task].max_episode_steps,
-                kwargs={"embodiment": robot},
-            )
+    robots = _robots()
+    for task in tasks().values():
+        for robot in robots:
+            if (name := environment_id(task.name, robot)) not in gym.registry:
+                # What gym.register does, less its look at all others for each: of thousands that takes a second.
+                gym.registry[name] = EnvSpec(
+                    name,
+                    task.environment,
+                    max_episode_steps=task.max_episode_steps,
+                    kwargs={"embodiment": robot},
+                )

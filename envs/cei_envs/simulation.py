@@ -40,6 +40,7 @@ class Simulation(ABC):
     ) -> None:
         self.model, self.data, self.driven, self.T_world_base = model, data, driven, T_world_base
         self.physics = physics
+        self._friction = model.geom_friction.copy(), model.pair_friction.copy()
         self._qpos_address = model.jnt_qposadr[joints]
         self._qvel_address = model.jnt_dofadr[joints]
         owner = [model.body(b).name for b in model.geom_bodyid]
@@ -70,6 +71,10 @@ class Simulation(ABC):
     @abstractmethod
     def close(self) -> None:
         """Free the simulation."""
+
+    def scale_friction(self, factor: float) -> None:
+        """Make all friction what was described, times a factor."""
+        self.model.geom_friction[:], self.model.pair_friction[:] = (factor * each for each in self._friction)
 
     def touching(self, geoms: Array, others: Array) -> bool:
         """Whether any of the geoms touches any of the others."""

@@ -96,7 +96,7 @@ class CEIEnvConfig(EnvConfig):
                 raise CEIError(f"--env.arguments has {name}, which --env.{option} is for.")
         check_arguments(self.gym_id, self.arguments)
         self._augmentation = self.clouds or _recorded_clouds(recorded)
-        task, name = self.task.split("-", 1)
+        task, name = _task_and_robot(self.task)
         entry = cast(type[CEIEnv], load_env_creator(tasks()[task].environment))
         n = len(load_embodiment(name).home)
         points = self._augmentation.points if self.augment else CLOUD_POINTS
@@ -111,7 +111,7 @@ class CEIEnvConfig(EnvConfig):
     @property
     def gym_id(self) -> str:
         """The name of the environment, for Gymnasium."""
-        return environment_id(*str(self.task).split("-", 1))
+        return environment_id(*_task_and_robot(str(self.task)))
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
@@ -175,6 +175,12 @@ def _checked_task(task: str | None, recorded: Metadata | None, dataset: str | No
     if given not in (None, theirs):
         raise CEIError(f"--env.task={given}, but dataset {dataset} is of {theirs}; give one of the two.")
     return theirs
+
+
+def _task_and_robot(name: str) -> tuple[str, str]:
+    """`<Task>` and `<Arm>-<EndEffector>`; a task may have hyphens."""
+    task, arm, end_effector = name.rsplit("-", 2)
+    return task, f"{arm}-{end_effector}"
 
 
 def _recorded_clouds(recorded: Metadata | None) -> CloudOptions:

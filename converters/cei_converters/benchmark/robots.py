@@ -54,11 +54,12 @@ def finished_robots(results: Results) -> Found:
     """
     found: dict[Cell, Mapping[str, Any]] = {}
     for path in sorted(results.folder.glob("*-*-*.json")):
-        task, _, target = path.stem.partition("-")
-        if target.count("-") == 1:
-            its = replace(results, source=source_of(load_cell(path) or {}))
-            if (result := its.read(cell := Cell(task, target))) is not None:
-                found[cell] = result
+        loaded = load_cell(path) or {}
+        cell = Cell(str(loaded.get("task")), str(loaded.get("target")))
+        if path.stem != cell.name:  # a variant, or another benchmark's
+            continue
+        if (result := replace(results, source=source_of(loaded)).read(cell)) is not None:
+            found[cell] = result
     return found
 
 

@@ -41,13 +41,13 @@ def open_environment(env_id: str, **kwargs: Any) -> gym.Env:
 def task_names() -> list[str]:
     """Tasks that there are environments of ours of, `CEI-<Task>-<Arm>-<EndEffector>`, those of installed packages last."""
     cei_gym.register_environments()
-    return _tasks([name for name in gym.registry if name.startswith(PREFIX) and name.count("-") == 3])
+    return _tasks([name for name in gym.registry if name.startswith(PREFIX) and name.count("-") >= 3])
 
 
 def _unknown(env_id: str, ids: list[str]) -> CEIError:
     """What of an id is not known: its task, its arm or its end-effector, where it is made like ours."""
-    prefix, *parts = env_id.split("-")
-    if f"{prefix}-" != PREFIX or len(parts) != 3:
+    parts = env_id.removeprefix(PREFIX).rsplit("-", 2)
+    if not env_id.startswith(PREFIX) or len(parts) != 3:
         close = get_close_matches(env_id, ids, n=1)
         return CEIError(
             f"unknown environment {env_id!r}.{f' Did you mean {close[0]!r}?' if close else ''} Environments are {PREFIX}<Task>-<Arm>-<EndEffector>,"
@@ -66,7 +66,7 @@ def _unknown(env_id: str, ids: list[str]) -> CEIError:
 
 
 def _tasks(ids: list[str]) -> list[str]:
-    return list(dict.fromkeys(name.split("-")[1] for name in ids))
+    return list(dict.fromkeys(name.removeprefix(PREFIX).rsplit("-", 2)[0] for name in ids))
 
 
 def check_arguments(env_id: str, kwargs: Mapping[str, Any]) -> None:

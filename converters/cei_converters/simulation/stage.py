@@ -10,6 +10,7 @@ from cei_gym.environment import Physics, physics_of
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
+    from cei_converters.simulation.perturbation import Perturbation
     from cei_gym.demonstration import Demonstration
 
 
@@ -43,8 +44,10 @@ class Stage:
         """By which rules the simulation treats the robot."""
         return physics_of(self.env)
 
-    def play(self, demonstration: "Demonstration", filmed: bool = False) -> tuple[dict[str, Any], list[Array]]:
-        """Execute a demonstration's actions from its recorded start, the last one held for a success to show.
+    def play(
+        self, demonstration: "Demonstration", filmed: bool = False, perturbation: "Perturbation | None" = None
+    ) -> tuple[dict[str, Any], list[Array]]:
+        """Execute a demonstration's actions from its recorded start, the last one held for a success to show; perturbed, if that is given.
 
         Returns:
             The result (episode, success, failure, steps, frames), and a picture a step if filmed.
@@ -59,7 +62,12 @@ class Stage:
         if demonstration.environment_state is None:
             raise CEIError(f"episode {demonstration.index} has no privileged.environment_state to start from.")
         env = self.env
-        start = {"environment_state": demonstration.environment_state[0], "agent_pos": demonstration.qpos[0]}
+        state, others = demonstration.environment_state[0], {}
+        if perturbation is not None:
+            names = env.get_wrapper_attr("state_names")
+            demonstration, state = perturbation.moved(demonstration), perturbation.start(state, names)
+            others = {"friction_scale": perturbation.friction_scale}
+        start = {"environment_state": state, "agent_pos": demonstration.qpos[0], **others}
         _, info = env.reset(seed=demonstration.index, options=start)
         pictures: list[Any] = [env.render()] if filmed else []
         steps = 0

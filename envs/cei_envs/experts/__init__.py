@@ -1,6 +1,7 @@
 """Scripted experts, by task and embodiment."""
 
 from pkgutil import resolve_name
+from typing import Any
 
 from cei_envs.experts.expert import Expert
 from cei_envs.registration import environment_id, tasks
@@ -11,8 +12,10 @@ from cei_gym.errors import CEIError
 __all__ = ["Expert", "make_expert"]
 
 
-def make_expert(task: str, embodiment: Embodiment, T_world_base: Array, seed: int, variation: float = 1.0) -> Expert:
-    """The expert of a task for an embodiment; `variation` as in `Expert`.
+def make_expert(
+    task: str, embodiment: Embodiment, T_world_base: Array, seed: int, variation: float = 1.0, **others: Any
+) -> Expert:
+    """The expert of a task for an embodiment; `variation` as in `Expert`, `others` as its class takes them.
 
     Raises:
         CEIError: there is none (the message lists those there are), or it is no `Expert`.
@@ -30,4 +33,4 @@ def make_expert(task: str, embodiment: Embodiment, T_world_base: Array, seed: in
     kind = resolve_name(named)
     if not (isinstance(kind, type) and issubclass(kind, Expert)):
         raise CEIError(f"{named} is no cei_envs.experts.Expert.")
-    return kind(embodiment, T_world_base, seed, variation)
+    return kind(embodiment, T_world_base, seed, variation, **others)

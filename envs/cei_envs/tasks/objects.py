@@ -23,7 +23,7 @@ class ObjectsEnv(CEIEnv, ABC):
     def make_robosuite(self, **robot_arguments: Any) -> Any:
         from cei_envs.tasks.tabletop import Tabletop
 
-        return Tabletop({each.name: each.free for each in self.objects}, self.table_width_m, **robot_arguments)
+        return Tabletop(self.objects, self.table_width_m, **robot_arguments)
 
     def workspace_world(self) -> Array:
         half_m = self.table_width_m / 2

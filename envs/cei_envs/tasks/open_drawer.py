@@ -6,6 +6,7 @@ import numpy as np
 
 from cei_envs.environment import CEIEnv
 from cei_envs.tasks.cube import TABLE_Z_M
+from cei_envs.tasks.placed import Placed
 from cei_gym.arrays import Array
 
 FRONT_X_M = (0.06, 0.12)
@@ -60,7 +61,7 @@ class OpenDrawerEnv(CEIEnv):
     def make_robosuite(self, **robot_arguments: Any) -> Any:
         from cei_envs.tasks.tabletop import Tabletop
 
-        return Tabletop({"cabinet": False}, **robot_arguments)
+        return Tabletop([Placed("cabinet", free=False)], **robot_arguments)
 
     def workspace_world(self) -> Array:
         return np.array([[-0.35, -0.35, TABLE_Z_M + 0.004], [0.35, 0.35, TABLE_Z_M + 0.45]])

@@ -12,15 +12,18 @@ from cei_gym.arrays import Array
 
 @dataclass(frozen=True)
 class Placed:
-    """What `assets/<name>.xml` describes, as part of a task's state.
+    """What an MJCF describes, as part of a task's state.
 
     Attributes:
-        name: of the asset and of the object.
+        name: of the object.
         free: whether it may be moved; else it is fixed to the table at a place and heading that a start gives.
+        description: its MJCF, of one body and as robosuite has its objects: a path, or `package://<Python package>/...`; default:
+            `assets/<name>.xml`.
     """
 
     name: str
     free: bool = True
+    description: str | None = None
 
     @property
     def state_names(self) -> tuple[str, ...]:

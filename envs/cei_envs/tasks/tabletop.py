@@ -1,6 +1,6 @@
 """The robosuite environment of tasks whose objects are our own: a table with them on it."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,8 @@ from robosuite.models.objects import MujocoXMLObject
 from robosuite.models.tasks import ManipulationTask
 
 from cei_envs.tasks.cube import TABLE_Z_M
+from cei_envs.tasks.placed import Placed
+from cei_gym.embodiment.resources import locate
 
 ASSETS = Path(__file__).parents[1] / "assets"
 _DEPTH_M, _THICKNESS_M = 0.8, 0.05
@@ -19,12 +21,12 @@ class Tabletop(ManipulationEnv):
     """robosuite's robot before a table, and objects on it, whose places an environment sets.
 
     Args:
-        objects: name to whether it is free to move, of what `assets/<name>.xml` describes; what is not free is fixed to the world.
+        objects: what is on it; what is not free is fixed to the world.
         width_m: of the table, along y.
         robot_arguments: robosuite's.
     """
 
-    def __init__(self, objects: Mapping[str, bool], width_m: float = 0.8, **robot_arguments: Any) -> None:
+    def __init__(self, objects: Sequence[Placed], width_m: float = 0.8, **robot_arguments: Any) -> None:
         self._described, self._width_m = objects, width_m
         super().__init__(**robot_arguments)
 
@@ -41,12 +43,13 @@ class Tabletop(ManipulationEnv):
         self.model = ManipulationTask(
             mujoco_arena=arena,
             mujoco_robots=[robot],
-            mujoco_objects=[_described(name, free) for name, free in self._described.items()],
+            mujoco_objects=[_described(each) for each in self._described],
         )
 
 
-def _described(name: str, free: bool) -> MujocoXMLObject:
-    joints: Any = "default" if free else None  # robosuite's annotation knows no fixed object
-    made = MujocoXMLObject(str(ASSETS / f"{name}.xml"), name=name, joints=joints, duplicate_collision_geoms=True)
+def _described(placed: Placed) -> MujocoXMLObject:
+    joints: Any = "default" if placed.free else None  # robosuite's annotation knows no fixed object
+    path = locate(placed.description or f"{placed.name}.xml", ASSETS).path
+    made = MujocoXMLObject(str(path), name=placed.name, joints=joints, duplicate_collision_geoms=True)
     made.get_obj().set("pos", f"0 0 {TABLE_Z_M}")
     return made
