@@ -54,10 +54,6 @@ OWN = (
             "AG95": "cei_envs.experts.open_drawer:OpenDrawerPadExpert",
         },
     ),
-    *(
-        Task(f"Pick-{thing}", f"cei_envs.tasks.pick:Pick{thing}Env", _of_grippers("pick:PickExpert"))
-        for thing in _THINGS
-    ),
     Task("PickCube", "cei_envs.tasks.pick_cube:PickCubeEnv", {_GRIPPER: "cei_envs.experts.pick_cube:PickCubeExpert"}),
     Task(
         "StackCube", "cei_envs.tasks.stack_cube:StackCubeEnv", {_GRIPPER: "cei_envs.experts.stack_cube:StackCubeExpert"}
@@ -75,6 +71,10 @@ OWN = (
         "InsertFlower",
         "cei_envs.tasks.insert_flower:InsertFlowerEnv",
         {"XHand": "cei_envs.experts.insert_flower:InsertFlowerExpert"},
+    ),
+    *(
+        Task(f"Pick-{thing}", f"cei_envs.tasks.pick:Pick{thing}Env", _of_grippers("pick:PickExpert"))
+        for thing in _THINGS
     ),
 )
 
