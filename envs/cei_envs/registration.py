@@ -35,10 +35,7 @@ class Task:
 
 _GRIPPER = "PandaGripper"
 _GRIPPERS = (_GRIPPER, "AG95")
-_THINGS = (
-    *("Sphere", "Cylinder", "LyingCylinder", "ThinBox", "Plate", "Mug", "Hammer"),
-    *("Can", "Lemon", "Nut"),
-)
+_THINGS = ("Sphere", "Cylinder", "LyingCylinder", "ThinBox", "Plate", "Mug", "Hammer", "Can", "Lemon", "Nut")
 
 
 def _of_grippers(expert: str) -> dict[str, str]:
