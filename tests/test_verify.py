@@ -254,6 +254,25 @@ def test_what_never_succeeds_is_kept_plain_or_dropped(
     assert "Left out are 1" in (dropped / "README.md").read_text()
 
 
+def test_an_episode_that_goes_another_way_is_told_of_and_left_out_where_that_is_asked_for(
+    folder: Path, tmp_path: Path, use: Use, capsys: pytest.CaptureFixture, complaint: Callable
+) -> None:
+    use(fails_at_first)  # and then goes on from another basin
+    kept, dropped = tmp_path / "kept", tmp_path / "dropped"
+    assert converted(folder, kept, "--verify") == 0
+    printed = capsys.readouterr().out
+    assert records(kept)[0]["verified"]["how"].startswith("basin")
+    assert "note: in episode 0 the target goes another way in its joints than in the others; --drop_strays" in printed
+    assert [episode["alignment"].get("another_way") for episode in records(kept)] == [True, None]
+    assert converted(folder, dropped, "--verify", "--drop_strays") == 0
+    assert "goes another way in its joints than in the others; left out" in capsys.readouterr().out
+    assert [episode["source_episode"] for episode in records(dropped)] == [1]
+    alone = tmp_path / "alone"
+    assert converted(folder, alone, "--verify", "--drop_strays", "--episodes=0") == 1
+    assert "every episode goes another way than the one that was chosen; leave out --drop_strays." in complaint()
+    assert not alone.exists()
+
+
 def test_nothing_is_left_behind_where_all_are_dropped(
     folder: Path, tmp_path: Path, use: Use, complaint: Callable
 ) -> None:

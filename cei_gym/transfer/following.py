@@ -16,6 +16,7 @@ from cei_gym.alignment.start.starts import InitialisationOptions, find_basins
 from cei_gym.arrays import Array
 
 _FINALISTS = 8
+_SAME_WAY_RAD = 0.5  # between the arm's joints of two basins
 _TOLERATED_M = 0.005  # of penetration, and of contact points that miss the source's
 
 
@@ -108,20 +109,25 @@ class Following:
         """Follow a motion from its mode's basin, or where that goes wrong from another that is clearly better: episodes of a dataset share a way,
         and policies learn from what is done alike. One of another kind must be better by far, or reach what its own does not."""
         own = self.basins[mode % len(self.basins)]
-        best = self._follow_from(own, motion)
-        report = self.report(best.motion, best.track)
-        if not (report.unreachable_frames or best.wrong):
-            return best, report
+        first = self._follow_from(own, motion)
+        report = self.report(first.motion, first.track)
+        if not (report.unreachable_frames or first.wrong):
+            return first, report
         like = [each for each in self.finalists if not are_apart(own, each)]
-        best = self._better(best, like, motion, ANOTHER_WAY_M)
+        best = self._better(first, like, motion, ANOTHER_WAY_M)
         report = self.report(best.motion, best.track)
         if (report.unreachable_frames or best.wrong) and len(self.basins) == 1:
             unlike = [each for each in self.finalists if each not in like]
             other = self._better(best, unlike, motion, 0.0 if report.unreachable_frames else 2 * ANOTHER_WAY_M)
             reached = self.report(other.motion, other.track)
             if not report.unreachable_frames or len(reached.unreachable_frames) < len(report.unreachable_frames):
-                return other, reached
-        return best, report
+                best, report = other, reached
+        return best, replace(report, another_way=self._is_another_way(own, best.basin))
+
+    def _is_another_way(self, own: Basin, other: Basin) -> bool:
+        embodiment = self._problem.embodiment
+        arm = embodiment.coupled.independent < embodiment.n_arm
+        return bool(np.abs(other.u - own.u)[arm].max(initial=0.0) > _SAME_WAY_RAD)
 
     def _better(self, own: _FollowedFrom, others: Sequence[Basin], motion: Motion, by_m: float) -> _FollowedFrom:
         """The one of the others that costs least, if that is less than its own by so much, else its own."""
@@ -131,8 +137,10 @@ class Following:
 
     def follow_from(self, finalist: int, motion: Motion) -> tuple[Followed, AlignmentReport]:
         """Follow a motion from one of the finalists, whatever comes of it."""
-        followed = self._follow_from(self.finalists[finalist], motion)
-        return followed, self.report(followed.motion, followed.track)
+        basin = self.finalists[finalist]
+        followed = self._follow_from(basin, motion)
+        another_way = all(self._is_another_way(own, basin) for own in self.basins)
+        return followed, replace(self.report(followed.motion, followed.track), another_way=another_way)
 
     def report(self, motion: Motion, track: Track) -> AlignmentReport:
         """How well a track follows a motion, and what keeps it where it does not."""

@@ -33,6 +33,7 @@ class AlignmentReport:
         penetrating: link, and what it is in, where that is deepest; empty where nothing touches.
         miss: why it is out of reach, if it is anywhere.
         tool_points: see `Surroundings`.
+        another_way: whether it goes another way in the joints than the other episodes.
     """
 
     pad_distance_mm: Array
@@ -48,6 +49,7 @@ class AlignmentReport:
     penetrating: tuple[str, ...] = ()
     miss: Miss | None = None
     tool_points: float = 0.0
+    another_way: bool = False
 
     @property
     def unreachable_frames(self) -> list[int]:
@@ -77,6 +79,7 @@ class AlignmentReport:
             "unreachable_frames": self.unreachable_frames,
             "unreachable_because": None if self.miss is None else str(self.miss),
             **({"tool_points_mean": self.tool_points} if self.tool_points else {}),
+            **({"another_way": True} if self.another_way else {}),
         }
 
 

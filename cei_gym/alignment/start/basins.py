@@ -28,7 +28,7 @@ _MARGIN_WEIGHT = 0.01  # metres of objective if some arm joint is near a limit i
 _NEAR_LIMIT_RAD = 0.05
 _APART_RAD, _APART_M = np.pi / 3, 0.1  # the hands of two modes are turned, or away, by this much
 _WORSE_M = 0.015  # how much more than the best a further mode may cost
-ANOTHER_WAY_M = 0.02
+ANOTHER_WAY_M = 0.05
 """What it costs a demonstration to go another way than the others: policies learn from what is done alike."""
 _CHECKED_FRAMES = 20  # of each demonstration, for penetration and torque
 _WORST = ("penetration_m", "overlap_m", "torque_share", "joint_step_rad")

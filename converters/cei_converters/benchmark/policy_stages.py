@@ -149,7 +149,7 @@ class Stages:
 
     def conversion(self, cell: PolicyCell) -> list[str]:
         """Options of `cei-convert` for a cell, once its source's demonstrations are recorded."""
-        return ["--allow_unreachable", f"--clouds.swap={str(cell.swaps).lower()}"]
+        return ["--allow_unreachable", "--drop_strays", f"--clouds.swap={str(cell.swaps).lower()}"]
 
     def environment(self, cell: PolicyCell) -> list[str]:
         """Options of `lerobot-eval` for the environment that a cell is evaluated in."""

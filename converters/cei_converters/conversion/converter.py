@@ -93,7 +93,7 @@ class Converter:
             then=on_recorded,
         )
         self._retarget = Retarget(self.transfer, None, config.init.modes, stored, on_retargeted, mode=config.init.mode)
-        self._judge = Judge(config.gate, config.allow_unreachable)
+        self._judge = Judge(config.gate, config.allow_unreachable, config.drop_strays)
         self._encode = Encode(
             self.reader,
             config.target,

@@ -9,6 +9,8 @@ from cei_gym.errors import CEIError
 KEPT, FLAGGED, DROPPED = "kept", "flagged", "dropped"
 LOW_QUALITY = "of low quality"
 """Why a dropped episode is left out."""
+ANOTHER_WAY = "goes another way"
+"""Why an episode is left out that would teach a policy something else than the others do."""
 
 _SHOWN = 10
 

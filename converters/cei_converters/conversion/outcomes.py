@@ -15,10 +15,11 @@ from cei_converters.conversion.reach import spans
 from cei_converters.conversion.shard import Shard
 from cei_converters.conversion.staging import StagingDirectory
 from cei_converters.conversion.verify import check_kept, sentence, summarise
+from cei_gym.errors import CEIError
 
 # a table of more rows is nobody's to read
 _ROWS, _WORST = 50, 20
-_BECAUSE, _PENETRATES, _TOOL = "unreachable_because", "penetrates", "tool_points_mean"
+_BECAUSE, _PENETRATES, _TOOL, _STRAYS = "unreachable_because", "penetrates", "tool_points_mean", "another_way"
 
 
 def outcomes(place: StagingDirectory, plan: Plan) -> Iterator[Outcome]:
@@ -82,6 +83,7 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
     _print_rows(rows, title)
     _print_faults(rows)
     _print_tools(rows)
+    _print_strays(rows, plan.config.drop_strays)
     verified = judged = augmented = None
     if verdicts:
         verified = summarise(verdicts)
@@ -100,7 +102,7 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
 def _print_rows(rows: list[dict[str, Any]], title: str) -> None:
     """A row an episode, or of many episodes the worst and a row of means; no column that is empty throughout, nor of sentences."""
     names = dict.fromkeys(name for row in rows for name in row)
-    sentences = _BECAUSE, _PENETRATES, _TOOL
+    sentences = _BECAUSE, _PENETRATES, _TOOL, _STRAYS
     shown = [name for name in names if name not in sentences and any(row.get(name) is not None for row in rows)]
     rows = [{name: row.get(name) for name in shown} for row in rows]
     if len(rows) > _ROWS:
@@ -119,6 +121,25 @@ def _print_tools(rows: list[dict[str, Any]]) -> None:
             f"note: in {spans([*found], 'episode')} the source's hand has something with it all the time (up to {max(found.values()):.0f} points "
             "a frame): it is taken for a tool, or for what is left of the robot, and is no obstacle."
         )
+
+
+def _print_strays(rows: list[dict[str, Any]], dropped: bool) -> None:
+    """A line on episodes that go another way than the others, if any do.
+
+    Raises:
+        CEIError: all do, and none is kept.
+    """
+    strays = [row["episode"] for row in rows if row.get(_STRAYS)]
+    if not strays:
+        return
+    if dropped and len(strays) == len(rows):
+        raise CEIError("every episode goes another way than the one that was chosen; leave out --drop_strays.")
+    what = (
+        "left out, as asked for"
+        if dropped
+        else "--drop_strays leaves them out, as policies learn from what is done alike"
+    )
+    print(f"note: in {spans(strays, 'episode')} the target goes another way in its joints than in the others; {what}.")
 
 
 def _print_faults(rows: list[dict[str, Any]]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.episode import Converted, Judged, Outcome, Recorded, Retargeted, Worst
-from cei_converters.conversion.gate import DROPPED, FLAGGED, LOW_QUALITY, Gate
+from cei_converters.conversion.gate import ANOTHER_WAY, DROPPED, FLAGGED, LOW_QUALITY, Gate
 from cei_converters.conversion.reach import check_reached
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.carried import Carried
@@ -180,10 +180,12 @@ class Judge:
     Attributes:
         gate: what decides by quality.
         allow_unreachable: whether frames out of reach are kept.
+        drop_strays: whether those that go another way in the joints are left out.
     """
 
     gate: Gate
     allow_unreachable: bool
+    drop_strays: bool
 
     def __call__(self, made: Retargeted) -> Judged:
         quality = assess(made.report)
@@ -199,6 +201,8 @@ class Judge:
             return "out of reach"
         if made.verdict is not None and made.verdict.dropped:
             return "fails"
+        if self.drop_strays and made.report.another_way:
+            return ANOTHER_WAY
         return LOW_QUALITY if decision == DROPPED else ""
 
 

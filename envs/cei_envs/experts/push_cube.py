@@ -13,7 +13,7 @@ from cei_gym.arrays import Array
 
 _ABOVE_M = 0.10
 _SQUEEZE_M = 0.008  # the cube is enclosed when fingers press by so much: with room around it, it turns and gets out
-_FURTHER_M = 0.025
+_FURTHER_M = 0.05
 
 
 class PushCubeExpert(PadExpert):
