@@ -76,6 +76,10 @@ class Track:
     iterations: Array
     contact_miss_m: Array | None = None
 
+    def at(self, frames: Array) -> "Track":
+        """The track with its frames at these indices."""
+        return Track(*(None if value is None else value[frames] for value in vars(self).values()))
+
 
 @dataclass(frozen=True)
 class AlignmentProblem:

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cei_gym.alignment.contact.correction import Correction
+
 _OTHER_SQUEEZES = (0.5, 1.5)
 
 
@@ -14,13 +16,27 @@ class Attempt:
         basin: which of the finalists of `Transfer.fit` to start from, best first; None for the mode's own.
         squeeze: factor on how far actions squeeze.
         representation: which points stand for a pad; None for those of the options.
+        correction: of how it takes hold.
     """
 
     basin: int | None = None
     squeeze: float = 1.0
     representation: str | None = None
+    correction: Correction | None = None
+
+    @property
+    def force(self) -> float:
+        """Factor on how far actions squeeze, with the correction's."""
+        return self.squeeze if self.correction is None else self.squeeze * self.correction.squeeze
+
+    @property
+    def asymmetry(self) -> float:
+        """The correction's."""
+        return 0.0 if self.correction is None else self.correction.asymmetry
 
     def __str__(self) -> str:
+        if self.correction is not None:
+            return f"corrected ({self.correction})"
         if self.basin is not None:
             return f"basin {self.basin + 1}"
         if self.representation is not None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cei_gym.alignment.contact.correction import Correction, corrected, dwelling
 from cei_gym.alignment.follow import Follower
 from cei_gym.alignment.judge.reach import Reach
 from cei_gym.alignment.judge.report import AlignmentReport, make_report
@@ -141,6 +142,16 @@ class Following:
         followed = self._follow_from(basin, motion)
         another_way = all(self._is_another_way(own, basin) for own in self.basins)
         return followed, replace(self.report(followed.motion, followed.track), another_way=another_way)
+
+    def corrected(
+        self, followed: Followed, report: AlignmentReport, correction: Correction
+    ) -> tuple[Followed, AlignmentReport]:
+        """What is followed with a correction of how it takes hold; how well pads follow counts that as a miss."""
+        u = corrected(self._problem, followed.motion, followed.track.u, correction)
+        shown = dwelling(followed.motion, len(u), correction)
+        motion, track = followed.motion.at(shown), replace(followed.track, u=u).at(shown)
+        again = replace(self.report(motion, track), another_way=report.another_way)
+        return Followed(followed.frames[shown], motion, track), again
 
     def report(self, motion: Motion, track: Track) -> AlignmentReport:
         """How well a track follows a motion, and what keeps it where it does not."""

@@ -22,6 +22,7 @@ from cei_gym.functional import FunctionalRepresentation, sample_representation
 from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import CloudOptions, CloudSynthesiser
 from cei_gym.pointcloud.near import any_near
+from cei_gym.transfer.aligned import Aligned
 from cei_gym.transfer.attempt import Attempt, attempts
 from cei_gym.transfer.following import Followed, Following
 from cei_gym.transfer.live import LiveTransfer
@@ -138,6 +139,16 @@ class Transfer:
         Raises:
             CEIError: the demonstration is of another embodiment.
         """
+        attempt = attempt or Attempt()
+        return self.made(self.aligned(demonstration, mode, attempt), attempt, clouds)
+
+    def aligned(self, demonstration: Demonstration, mode: int = 0, attempt: Attempt | None = None) -> Aligned:
+        """The first half of transferring a demonstration, which takes longest: how the target follows it. Attempts that differ in force or in a
+        correction alone share it.
+
+        Raises:
+            CEIError: as calls do.
+        """
         if demonstration.embodiment != self.source.name:
             raise CEIError(
                 f"episode {demonstration.index} is of {demonstration.embodiment}, not of {self.source.name}."
@@ -146,16 +157,33 @@ class Transfer:
             self.fit([demonstration])
         attempt = attempt or Attempt()
         if attempt.representation is not None:
-            other = self._with_pads(attempt.representation)
-            return other(demonstration, mode, attempt=replace(attempt, representation=None), clouds=clouds)
+            return self._with_pads(attempt.representation).aligned(
+                demonstration, mode, replace(attempt, representation=None)
+            )
         scenes = self._scenes.without_source(demonstration)
         followed, report = self._follow(demonstration, self.motion(demonstration, scenes), mode, attempt)
+        return Aligned(demonstration, scenes, followed, report)
+
+    def made(
+        self, aligned: Aligned, attempt: Attempt | None = None, clouds: bool = True
+    ) -> tuple[Demonstration, AlignmentReport]:
+        """The second half: what the target does and sees.
+
+        Args:
+            aligned: the first half, of this attempt or of one that differs in force or correction alone.
+            attempt, clouds: as for calls.
+        """
+        attempt = attempt or Attempt()
+        followed, report = aligned.followed, aligned.report
+        if attempt.correction is not None:
+            followed, report = self._following.corrected(followed, report, attempt.correction)
         frames, track = followed.frames, followed.track
-        demonstration, scenes = demonstration.at(frames), [scenes[int(t)] for t in frames] if scenes else scenes
+        demonstration, scenes = aligned.demonstration.at(frames), aligned.scenes
+        scenes = [scenes[int(t)] for t in frames] if scenes else scenes
         closing = track.u
         if self._specified is None:
-            depth_m = attempt.squeeze * self._side.squeeze_m(demonstration, followed.motion)
-            closing = squeeze(self.problem, track.u, depth_m)
+            depth_m = attempt.force * self._side.squeeze_m(demonstration, followed.motion)
+            closing = squeeze(self.problem, track.u, depth_m, attempt.asymmetry)
         # a_t = q_(t+1); the last frame holds.
         qpos, action = (self._joints(u) for u in (track.u, np.concatenate([closing[1:], closing[-1:]])))
         base = self._side.T_world_target(demonstration)

@@ -1,14 +1,15 @@
-"""Grip force: how far a hand closes beyond the contact that was observed."""
+"""Grip force: how far a hand closes beyond the contact that was observed, or opens."""
 
 import numpy as np
 
+from cei_gym.alignment.contact.pads import opposing_sides
 from cei_gym.alignment.problem import AlignmentProblem
 from cei_gym.arrays import Array
 
 _RIDGE = 1e-5  # m^2/rad^2: the least motion of joints among those that close the pads alike
 
 
-def squeeze(problem: AlignmentProblem, u: Array, depth_m: Array) -> Array:
+def squeeze(problem: AlignmentProblem, u: Array, depth_m: Array, asymmetry: float = 0.0) -> Array:
     """Joints that close each pad along its normal, the arm at rest.
 
     Pads close in proportion to their share (their YAML's `share`), `depth_m` in the mean: a thumb against two fingers goes
@@ -18,14 +19,15 @@ def squeeze(problem: AlignmentProblem, u: Array, depth_m: Array) -> Array:
     Args:
         problem: the target.
         u: (T, m) independent joints, rad or m.
-        depth_m: (T,) how far.
+        depth_m: (T,) how far; less than 0 opens.
+        asymmetry: from -1 to 1, by how much more of it pads do that are on the side of the first, and the others less.
 
     Returns:
         (T, m) independent joints, within limits.
     """
     embodiment, representation = problem.embodiment, problem.representation
     hand = np.flatnonzero(embodiment.coupled.independent >= embodiment.n_arm)
-    closing = np.flatnonzero(depth_m > 0)
+    closing = np.flatnonzero(depth_m)
     if not len(closing) or not len(hand):
         return u
     qpos = embodiment.coupled.expand(u[closing])
@@ -34,8 +36,12 @@ def squeeze(problem: AlignmentProblem, u: Array, depth_m: Array) -> Array:
     assert spec is not None  # it has pads
     pads = spec.pads
     share = np.array([pad.share for pad in pads])
+    mean = share.mean()
+    if asymmetry and (sides := opposing_sides(representation, problem.tree)) is not None:
+        own = [sides[representation.body == embodiment.body_id(pad.body)][0] for pad in pads]
+        share = share * (1 + asymmetry * np.where(np.array(own) == 0, 1.0, -1.0))
     hessian, gradient = _RIDGE * np.eye(len(hand)), 0.0
-    for pad, weight in zip(pads, spec.compliance * share / share.mean(), strict=True):
+    for pad, weight in zip(pads, spec.compliance * share / mean, strict=True):
         own = representation.body == embodiment.body_id(pad.body)
         normal = normals[:, own].mean(axis=1)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -9,6 +9,7 @@ from cei_converters.conversion.augment import AugmentOptions
 from cei_converters.conversion.executors import NAMES as EXECUTORS
 from cei_converters.conversion.executors import SlurmOptions, check_executor
 from cei_converters.conversion.gate import Gate
+from cei_converters.conversion.refine import RefineOptions
 from cei_converters.conversion.verify import VerifyOptions
 from cei_gym.alignment import ContactOptions, InitialisationOptions, SolverOptions
 from cei_gym.arrays import Array
@@ -65,6 +66,7 @@ class ConvertConfig:
     clouds: CloudOptions = field(default_factory=CloudOptions)
     augment: AugmentOptions = field(default_factory=AugmentOptions)  # Objects elsewhere, with --augment.grid.
     verify: VerifyOptions = field(default_factory=VerifyOptions)  # Replay and retry, with --verify.
+    refine: RefineOptions = field(default_factory=RefineOptions)  # Search how to take hold by rollouts, with --refine.
 
     def __post_init__(self) -> None:
         parse_episodes(self.episodes)
@@ -100,6 +102,11 @@ class ConvertConfig:
             CEIError: it cannot be read.
         """
         return None if self.target_pose == AUTO else parse_pose("--target_pose", self.target_pose, AUTO)
+
+    @property
+    def replays(self) -> bool:
+        """Whether episodes are replayed as they are converted."""
+        return self.verify.enabled or self.refine.enabled
 
     @property
     def gate(self) -> Gate:

@@ -107,7 +107,7 @@ class Converter:
         self.T_world_target, self.environment = self.reader.scene.T_world_base, Environment()
         if config.target_pose != AUTO:
             self.stand(config.target_pose)
-        elif config.verify.enabled:
+        elif config.replays:
             self._check_stands_anywhere()
 
     def __enter__(self) -> Self:
@@ -130,9 +130,10 @@ class Converter:
         self.T_world_target = self.reader.scene.T_world_base if pose is None else pose
         self.transfer.stand(pose)
         self.environment = _environment(self.reader, self._config.target, pose)
-        if self._config.verify.enabled:
+        if self._config.replays:
             stage = self._opened.enter_context(self._open_stage(self.environment, self.T_world_target))
-            verifier = Verifier(self.transfer, stage, self._config.verify, self._config.allow_unreachable)
+            config = self._config
+            verifier = Verifier(self.transfer, stage, config.verify, config.allow_unreachable, config.refine)
             self._retarget = replace(self._retarget, verifier=verifier)
 
     def find_place(self, begin: Callable[[int], None], done: Callable[[int], None]) -> Placement:
@@ -182,7 +183,7 @@ class Converter:
             CEIError: an episode cannot be read, or the target cannot reach it.
         """
         with one_thread():
-            yield from ordered_map(self._convert, positions, 1 if self._config.verify.enabled else threads)
+            yield from ordered_map(self._convert, positions, 1 if self._config.replays else threads)
 
     def _open_stage(self, environment: Environment, T_world_target: Array) -> "Stage":
         return open_stage(self.reader.repo_id, environment, self._config.target, T_world_target)

@@ -7,8 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cei_converters.conversion.refine import RefineOptions
+from cei_converters.conversion.search import InTurn, Listed, Sampled, Search
+from cei_converters.conversion.trials import Held, Trials
 from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
+from cei_gym.transfer import Attempt
 
 if TYPE_CHECKING:
     from cei_converters.dataset.metadata import Environment
@@ -16,7 +20,9 @@ if TYPE_CHECKING:
     from cei_gym.alignment import AlignmentReport
     from cei_gym.demonstration import Demonstration
     from cei_gym.transfer import Transfer
+    from cei_gym.transfer.aligned import Aligned
 
+CORRECTED = "corrected"
 _SAME_RAD = 1e-3  # actions (rad or m) nearer than this to ones that failed are not worth a replay
 _POSE_TOLERANCE = 1e-3  # of a base's position, m, and rotation
 
@@ -53,6 +59,9 @@ class Verdict:
         how: the one that is kept (`cei_gym.transfer.Attempt`).
         failure: why the plain one fails; empty if it does not.
         dropped: whether the episode is left out.
+        held, plain_held: with refinement, which share of replays succeeded of the way that is kept, and of the plain one; these chose it, so
+            fresh ones (`cei-replay --perturb`) may show less.
+        replays: how many there were.
     """
 
     episode: int
@@ -61,10 +70,15 @@ class Verdict:
     how: str
     failure: str
     dropped: bool = False
+    held: float | None = None
+    plain_held: float | None = None
+    replays: int | None = None
 
     def record(self) -> dict[str, Any]:
         """For the dataset's metadata."""
-        return {name: getattr(self, name) for name in ("success", "attempts", "how", "failure")}
+        names = ["success", "attempts", "how", "failure"]
+        names += [name for name in ("held", "plain_held", "replays") if getattr(self, name) is not None]
+        return {name: getattr(self, name) for name in names}
 
     def row(self) -> dict[str, str]:
         """For the table on the terminal."""
@@ -73,55 +87,118 @@ class Verdict:
 
 
 class Verifier:
-    """Transfers demonstrations such that they succeed in physics, where some way of `Transfer.attempts` does.
+    """Transfers demonstrations such that they succeed in physics, where some way of transferring them does.
 
-    Ways are tried in its order, those that move as one that failed left out; the first that succeeds is kept.
+    The plain way is kept if it holds. Else others are tried: with verification those of `Transfer.attempts` in their order, those that move as one
+    that failed left out; with refinement then corrections of how it takes hold, that CMA-ES draws, until one holds when replays are perturbed, too,
+    and when others confirm it. What holds best is kept.
 
     Args:
         transfer: what transfers.
         stage: the target's environment (`open_stage`).
         options: see there.
         allow_unreachable: accept transfers that cannot reach every frame; otherwise they fail without a replay.
+        refine: see there.
     """
 
     def __init__(
-        self, transfer: "Transfer", stage: "Stage", options: VerifyOptions, allow_unreachable: bool = False
+        self,
+        transfer: "Transfer",
+        stage: "Stage",
+        options: VerifyOptions,
+        allow_unreachable: bool = False,
+        refine: RefineOptions | None = None,
     ) -> None:
         self._transfer, self._stage, self._options = transfer, stage, options
         self._allow_unreachable = allow_unreachable
+        self._refine = refine if refine is not None and refine.enabled else None
 
     def __call__(
         self, demonstration: "Demonstration", mode: int = 0
     ) -> tuple["Demonstration", "AlignmentReport", Verdict]:
-        """Transfer one demonstration; what is returned is plain where nothing succeeds.
+        """Transfer one demonstration; what is returned is plain where nothing holds better.
 
         Args:
             demonstration: of the source, with the state of its objects.
             mode: which of the `init.modes` motions.
         """
-        plain, report = self._transfer(demonstration, mode)
-        index, failure = demonstration.index, self._failure(plain, report)
-        if not failure:
-            return plain, report, Verdict(index, True, 1, "plain", "")
-        tried = [plain]
-        for attempt in self._transfer.attempts(self._options.attempts, mode)[1:]:
+        refine = self._refine
+        trials = Trials(self._stage, refine.perturbed if refine else 0, self._allow_unreachable)
+        aligned = self._transfer.aligned(demonstration, mode)
+        plain = self._tried(trials, aligned, Attempt())
+        best, tried, search = plain, [plain], self._search(demonstration, aligned, mode)
+        while not self._is_enough(best.share) and not (refine and trials.replays >= refine.replays):
+            if (attempt := search.ask()) is None:
+                break
             # Clouds take longer than joints, and nothing that fails needs them.
-            moved, its_report = self._transfer(demonstration, mode, attempt=attempt, clouds=False)
-            if any(_same(moved, other) for other in tried):
+            way = self._tried(trials, self._aligned(aligned, attempt, demonstration, mode), attempt, tried)
+            search.tell(way.share)
+            if way.known:
                 continue
-            tried.append(moved)
-            if not self._failure(moved, its_report):
-                moved, its_report = self._transfer(demonstration, mode, attempt=attempt)
-                return moved, its_report, Verdict(index, True, len(tried), str(attempt), failure)
-        return plain, report, Verdict(index, False, len(tried), "plain", failure, self._options.drop)
+            tried.append(way)
+            if self._is_enough(way.share):
+                way = replace(way, share=min(way.share, trials.confirm(way.moved)))
+            if way.share > best.share:
+                best = way
+        moved, report = self._transfer.made(best.aligned, best.attempt)
+        verdict = Verdict(
+            demonstration.index,
+            not best.held.failure,
+            len(tried),
+            str(best.attempt),
+            plain.held.failure,
+            self._options.drop and bool(best.held.failure),
+            **({} if refine is None else {"held": best.share, "plain_held": plain.share, "replays": trials.replays}),
+        )
+        return moved, report, verdict
 
-    def _failure(self, moved: "Demonstration", report: "AlignmentReport") -> str:
-        """Why a transferred demonstration fails; empty if it does not."""
-        if report.unreachable_frames and not self._allow_unreachable:
-            return "unreachable"
-        stored = moved.qpos.astype(np.float32).astype(float)  # the very start that a replay of the dataset has
-        result, _ = self._stage.play(replace(moved, qpos=stored))
-        return "" if result["success"] else result["failure"]
+    def _search(self, demonstration: "Demonstration", aligned: "Aligned", mode: int) -> Search:
+        """What to try where the plain way does not hold."""
+        searches: list[Search] = []
+        if self._options.enabled:
+            searches.append(Listed(self._transfer.attempts(self._options.attempts, mode)[1:]))
+        if self._refine is not None and aligned.holds:
+            seed = (self._refine.seed, demonstration.index, mode)
+            searches.append(Sampled(seed, self._refine.population))
+        return InTurn(searches)
+
+    def _is_enough(self, share: float) -> bool:
+        return share >= (1.0 if self._refine is None else self._refine.robust)
+
+    def _aligned(self, plain: "Aligned", attempt: Attempt, demonstration: "Demonstration", mode: int) -> "Aligned":
+        """Of another way: the plain one where it follows alike."""
+        if attempt.basin is None and attempt.representation is None:
+            return plain
+        return self._transfer.aligned(demonstration, mode, attempt)
+
+    def _tried(self, trials: Trials, aligned: "Aligned", attempt: Attempt, others: "Sequence[_Way]" = ()) -> "_Way":
+        """One way, replayed unless it moves as another did."""
+        moved, report = self._transfer.made(aligned, attempt, clouds=False)
+        for other in others:
+            if _same(moved, other.moved):
+                return replace(other, known=True)
+        held = trials.judge(moved, report)
+        return _Way(attempt, aligned, moved, held, held.share)
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A way that was tried.
+
+    Attributes:
+        attempt, aligned: what it is.
+        moved: what came of it, without clouds.
+        held: what replays showed.
+        share: which share of them, also of those that confirmed it, succeeded.
+        known: whether another moves alike.
+    """
+
+    attempt: Attempt
+    aligned: "Aligned"
+    moved: "Demonstration"
+    held: Held
+    share: float
+    known: bool = False
 
 
 def _same(one: "Demonstration", other: "Demonstration") -> bool:
@@ -162,18 +239,38 @@ def summarise(verdicts: Sequence[Verdict]) -> dict[str, Any]:
         "verified_successes": sum(v.success for v in verdicts),
         "retried": sum(v.attempts > 1 for v in verdicts),
         "dropped": [v.episode for v in verdicts if v.dropped],
-        "how": dict(Counter(v.how for v in verdicts if v.success)),
+        "how": dict(Counter(_kind(v.how) for v in verdicts if v.success)),
+        **_shares(verdicts),
         "results": [{"episode": v.episode, **v.record()} for v in verdicts],
+    }
+
+
+def _kind(how: str) -> str:
+    """Corrections are each their own; they count as one kind."""
+    return CORRECTED if how.startswith(CORRECTED) else how
+
+
+def _shares(verdicts: Sequence[Verdict]) -> dict[str, float]:
+    """Which share of replays holds in the mean, plain and kept, where episodes are refined."""
+    refined = [v for v in verdicts if v.held is not None]
+    if not refined:
+        return {}
+    names = ("plain_held", "held")
+    return {name: float(np.mean([getattr(v, name) for v in refined])) for name in names} | {
+        "replays": sum(v.replays or 0 for v in refined)
     }
 
 
 def sentence(summary: dict[str, Any]) -> str:
     """`summarise` in one line."""
     n = summary["episodes"]
-    return (
+    text = (
         f"plain {summary['plain_successes']}/{n}, verified {summary['verified_successes']}/{n} "
         f"({summary['retried']} retried), dropped {len(summary['dropped'])}"
     )
+    if "held" not in summary:
+        return text
+    return f"{text}; of replays held {summary['plain_held']:.0%} plain, {summary['held']:.0%} refined ({summary['replays']} replays)"
 
 
 def check_kept(summary: dict[str, Any]) -> None:
