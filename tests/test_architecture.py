@@ -146,7 +146,7 @@ LAYERS = {
     ],
     "cei_gym.alignment.kernels": ["step", "target", "quadratic", "distance", "collision", "frame", "contact", "grasp"],
     "cei_gym.transfer": [
-        *("options", "attempt", "live", "source_side", "scenes", "specified", "following", "transfer"),
+        *("options", "attempt", "live", "source_side", "scenes", "specified", "following", "aligned", "transfer"),
         *("ground", "standing", "placing"),
     ],
     "cei_converters": [
@@ -154,7 +154,21 @@ LAYERS = {
         *("pads", "record", "replay", "convert", "restore", "report", "demo", "robot", "benchmark"),
     ],
     "cei_converters.conversion": [
-        *("executors", "ordered_map", "agreement", "verify", "augment", "gate", "reach", "survey", "episode", "steps"),
+        *(
+            "executors",
+            "ordered_map",
+            "agreement",
+            "refine",
+            "search",
+            "trials",
+            "verify",
+            "augment",
+            "gate",
+            "reach",
+            "survey",
+            "episode",
+            "steps",
+        ),
         *(
             "shard",
             "config",

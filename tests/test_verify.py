@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,16 @@ from conversions import record_cubes, records
 
 from cei_converters import convert, replay
 from cei_converters.conversion import verify
+from cei_converters.conversion.refine import RefineOptions
 from cei_converters.conversion.verify import Verifier, VerifyOptions
+from cei_converters.simulation.perturbation import Perturbation
 from cei_converters.simulation.stage import Stage
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import InitialisationOptions
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
+from cei_gym.kinematics import KinematicTree
 from cei_gym.pointcloud import CloudOptions
 from cei_gym.transfer import Attempt, Transfer
 
@@ -169,8 +173,11 @@ def test_what_cannot_be_reached_fails_without_a_replay(demonstration: Demonstrat
         unreachable_frames = (3,)
 
     class Plain:
-        def __call__(self, demonstration: Demonstration, mode: int, **_: object):
-            return demonstration, OutOfReach()
+        def aligned(self, demonstration: Demonstration, *_: object) -> Demonstration:
+            return demonstration
+
+        def made(self, aligned: Demonstration, *_: object, **__: object):
+            return aligned, OutOfReach()
 
         def attempts(self, most: int, mode: int) -> list[Attempt]:
             return [Attempt()]
@@ -349,3 +356,162 @@ def test_options_are_checked_where_they_are_made() -> None:
         VerifyOptions(enabled=True, attempts=0)
     assert not VerifyOptions().enabled
     assert verify.sentence(verify.summarise([])) == "plain 0/0, verified 0/0 (0 retried), dropped 0"
+
+
+# -- refinement ----------------------------------------------------------------------------------------------------------
+
+
+class Shaken(FakeStage):
+    """Has what it is shown succeed as `succeeds` says, which is told how it is perturbed."""
+
+    n_arm = 7
+
+    def __init__(self, succeeds: Callable[[Demonstration, Perturbation | None], bool]) -> None:
+        self.played: list[Demonstration] = []
+        self.perturbed: list[Any] = []
+        self.accepts = succeeds
+
+    def play(
+        self, demonstration: Demonstration, filmed: bool = False, perturbation: Any = None
+    ) -> tuple[dict[str, Any], list]:
+        self.played.append(demonstration)
+        self.perturbed.append(perturbation)
+        success = self.accepts(demonstration, perturbation)
+        return {"success": success, "failure": "" if success else "slipped"}, []
+
+
+def refined(
+    transfer: Transfer, demonstration: Demonstration, stage: Shaken, **options: Any
+) -> tuple[Demonstration, verify.Verdict]:
+    refine = RefineOptions(enabled=True, **options)
+    moved, _, verdict = Verifier(transfer, stage, VerifyOptions(), refine=refine)(demonstration)
+    return moved, verdict
+
+
+def lowest_m(moved: Demonstration) -> float:
+    """How low the hand's first link gets."""
+    body = load_embodiment(TARGET)
+    return float(KinematicTree(body).forward(moved.qpos)[:, body.end_effector_root, 2, 3].min())
+
+
+def test_what_holds_when_shaken_is_kept_as_it_is(transfer: Transfer, demonstration: Demonstration) -> None:
+    stage = Shaken(lambda *_: True)
+    moved, verdict = refined(transfer, demonstration, stage, perturbed=3)
+    np.testing.assert_array_equal(moved.action, transfer(demonstration)[0].action)
+    assert (verdict.how, verdict.held, verdict.plain_held, verdict.replays) == ("plain", 1.0, 1.0, 4)
+    assert [each is None for each in stage.perturbed] == [True, False, False, False]
+
+
+@pytest.mark.parametrize("as_it_is", [False, True])
+def test_a_correction_is_searched_that_holds_when_shaken(
+    transfer: Transfer, demonstration: Demonstration, as_it_is: bool
+) -> None:
+    """What fails as it is, and what only holds so; here the hand has to be 3 mm lower."""
+    low = lowest_m(transfer(demonstration)[0]) - 0.003
+
+    def accepts(shown: Demonstration, perturbation: Perturbation | None) -> bool:
+        return lowest_m(shown) < low or (as_it_is and perturbation is None)
+
+    moved, verdict = refined(transfer, demonstration, Shaken(accepts), perturbed=2)
+    assert lowest_m(moved) < low
+    assert verdict.success
+    assert verdict.how.startswith("corrected (")
+    assert (verdict.failure, verdict.held) == ("" if as_it_is else "slipped", 1.0)
+    assert verdict.plain_held == pytest.approx(1 / 3 if as_it_is else 0.0)
+    assert moved.point_cloud_world is not None
+    again, same = refined(transfer, demonstration, Shaken(accepts), perturbed=2)
+    assert same == verdict
+    np.testing.assert_array_equal(again.action, moved.action)
+    _, other = refined(transfer, demonstration, Shaken(accepts), perturbed=2, seed=1)
+    assert other.how != verdict.how
+
+
+def test_the_luckiest_is_not_kept_for_its_luck(transfer: Transfer, demonstration: Demonstration) -> None:
+    """All holds in the replays that choose, and nothing in those that confirm."""
+    plain = transfer(demonstration)[0].action
+    confirming = [Perturbation.draw(demonstration.index, which, Shaken.n_arm) for which in range(2000, 2002)]
+
+    def accepts(shown: Demonstration, perturbation: Perturbation | None) -> bool:
+        if shown.action.shape == plain.shape and np.abs(shown.action - plain).max() < 1e-4:
+            return perturbation is None
+        return perturbation is None or all((perturbation.joints_rad != each.joints_rad).any() for each in confirming)
+
+    moved, verdict = refined(transfer, demonstration, Shaken(accepts), perturbed=2, replays=40)
+    assert (verdict.how, verdict.held) == ("plain", pytest.approx(1 / 3))
+    assert verdict.attempts > 5
+    np.testing.assert_array_equal(moved.action, plain)
+
+
+def test_it_gives_up_where_nothing_holds(transfer: Transfer, demonstration: Demonstration) -> None:
+    stage = Shaken(lambda *_: False)
+    moved, verdict = refined(transfer, demonstration, stage, replays=9)
+    assert len(stage.played) == 9
+    assert verdict.record() == {
+        "success": False,
+        "attempts": 9,
+        "how": "plain",
+        "failure": "slipped",
+        "held": 0.0,
+        "plain_held": 0.0,
+        "replays": 9,
+    }
+    np.testing.assert_array_equal(moved.action, transfer(demonstration)[0].action)
+
+
+def test_where_nothing_is_held_nothing_is_searched(transfer: Transfer, demonstration: Demonstration) -> None:
+    n = transfer.source.n_arm
+    hand = np.repeat(demonstration.qpos[:1, n:], len(demonstration), axis=0)
+    still = replace(
+        demonstration,
+        qpos=np.concatenate([demonstration.qpos[:, :n], hand], axis=1),
+        action=np.concatenate([demonstration.action[:, :n], hand], axis=1),
+    )
+    stage = Shaken(lambda *_: False)
+    _, verdict = refined(transfer, still, stage)
+    assert (len(stage.played), verdict.how) == (1, "plain")
+
+
+def test_a_refined_dataset_says_what_was_found(
+    folder: Path, tmp_path: Path, transfer: Transfer, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """One episode only holds as it is; a correction, any, holds always."""
+    plain = [DatasetReader("me/source", folder / "source").read(i) for i in range(2)]
+    actions = [transfer(each)[0].action for each in plain]
+
+    def accepts(shown: Demonstration, perturbation: Perturbation | None) -> bool:
+        known = actions[shown.index]
+        alike = shown.action.shape == known.shape and np.abs(shown.action - known).max() < 1e-4
+        return not (alike and perturbation is not None and shown.index == 1)
+
+    monkeypatch.setattr("cei_converters.conversion.converter.open_stage", lambda *_: Shaken(accepts))
+    monkeypatch.setattr(Transfer, "fit", lambda self, _: self.start_from(transfer.finalists))
+    root = tmp_path / "target"
+    assert converted(folder, root, "--refine", "--refine.perturbed=2") == 0
+    assert "plain 2/2, verified 2/2 (1 retried), dropped 0; of replays held 67% plain, 100% refined" in (
+        capsys.readouterr().out
+    )
+    first, second = (episode["verified"] for episode in records(root))
+    assert (first["how"], first["held"]) == ("plain", 1.0)
+    assert second["how"].startswith("corrected (")
+    assert second["plain_held"] == pytest.approx(1 / 3)
+    assert result(root)["verify"]["how"] == {"plain": 1, "corrected": 1}
+    card = (root / "README.md").read_text()
+    assert "67% of the plain transfer and 100% of what is kept hold" in card
+    options = json.loads((root / "meta/cei.json").read_text())["provenance"]["options"]
+    assert options["refine"]["perturbed"] == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--refine.robust=0.5"], "--refine.robust is of no use without --refine."),
+        (["--refine", "--refine.robust=1.5"], "refine.robust=1.5 must be over 0, and at most 1."),
+        (["--refine", "--refine.perturbed=0"], "refine.perturbed=0 must be at least 1."),
+        (["--refine", "--refine.population=1"], "refine.population=1 must be at least 2."),
+    ],
+)
+def test_bad_options_of_refinement(
+    folder: Path, tmp_path: Path, complaint: Callable, options: list[str], says: str
+) -> None:
+    assert converted(folder, tmp_path / "target", *options) == 2
+    assert says in complaint()

@@ -78,7 +78,9 @@ class Track:
 
     def at(self, frames: Array) -> "Track":
         """The track with its frames at these indices."""
-        return Track(*(None if value is None else value[frames] for value in vars(self).values()))
+        miss = self.contact_miss_m
+        miss = None if miss is None else miss[frames]
+        return Track(self.u[frames], self.objective[frames], self.iterations[frames], miss)
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def _with_choices(provenance: Provenance, transfer: Transfer, summary: Summary) 
     """Provenance with what was decided on the way: where trajectories start, on which pads, which episodes are dropped."""
     pads = {e.name: plain(e.end_effector.pads) for e in (transfer.source, transfer.target) if e.end_effector}
     options = provenance.options | {"basins": plain(transfer.basins)}
-    if summary.verified is not None:
+    if summary.verified is not None and "verify" in options:
         options["verify"] = options["verify"] | {"dropped": summary.verified["dropped"]}
     if summary.judged is not None:
         options["gate"] = summary.judged

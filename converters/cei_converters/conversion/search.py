@@ -1,16 +1,13 @@
 """What to try next where a way of transferring an episode does not hold: what a list says, or what CMA-ES draws."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from cei_gym.alignment.contact.correction import Correction
 from cei_gym.arrays import Array
 from cei_gym.transfer import Attempt
-
-if TYPE_CHECKING:
-    from cmaes import CMA
 
 SIGMA = Correction(0.005, 0.005, 0.005, 0.08, 0.08, 0.12, 0.2, 0.15, 0.1, 0.004, 0.1)
 """How far each figure of a correction is drawn from what it is plainly, a standard deviation."""
@@ -55,7 +52,7 @@ class Sampled:
         from cmaes import CMA  # a fifth of a second
 
         drawn = np.random.SeedSequence(seed).generate_state(1)[0]
-        self._cma: CMA = CMA(_normal(around or Correction()), 1.0, seed=int(drawn), population_size=population)
+        self._cma = CMA(_normal(around or Correction()), 1.0, seed=int(drawn), population_size=population)
         self._told: list[tuple[Array, float]] = []
         self._asked = np.zeros(0)
 

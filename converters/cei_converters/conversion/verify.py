@@ -148,8 +148,9 @@ class Verifier:
             str(best.attempt),
             plain.held.failure,
             self._options.drop and bool(best.held.failure),
-            **({} if refine is None else {"held": best.share, "plain_held": plain.share, "replays": trials.replays}),
         )
+        if refine is not None:
+            verdict = replace(verdict, held=best.share, plain_held=plain.share, replays=trials.replays)
         return moved, report, verdict
 
     def _search(self, demonstration: "Demonstration", aligned: "Aligned", mode: int) -> Search:

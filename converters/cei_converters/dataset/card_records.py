@@ -17,6 +17,9 @@ PARTS = (
     "itself, table or objects) and `reach` (frames out of reach)."
 )
 
+_LISTED = "from another start, with another squeeze, with other points on the pads"
+_REFINED = "corrections of how the hand takes hold, searched by rollouts"
+
 
 def quality(root: Path, metadata: Metadata, records: Records) -> str:
     """How well episodes are aligned; empty for a recorded dataset."""
@@ -75,8 +78,14 @@ def augmented(records: Records) -> str:
 
 def verified(metadata: Metadata, records: Records) -> str:
     """What simulation says of the episodes; empty if it was not asked."""
-    verdicts = (record["verified"] for record in records if "verified" in record)
-    kept = Counter(verdict["how"] if verdict["success"] else "fails" for verdict in verdicts)
+    kept: Counter[str] = Counter()
+    plain, refined, held = 0, 0, {"plain_held": 0.0, "held": 0.0}
+    for verdict in (record["verified"] for record in records if "verified" in record):
+        kept[_kind(verdict["how"]) if verdict["success"] else "fails"] += 1
+        plain += not verdict["failure"]
+        if "held" in verdict:
+            refined += 1
+            held = {name: share + verdict[name] for name, share in held.items()}
     if not kept:
         return ""
     asked = (provenance.options.get("verify", {}) for provenance in metadata.provenances)
@@ -84,10 +93,21 @@ def verified(metadata: Metadata, records: Records) -> str:
     n = kept.total() + len(dropped)
     text = (
         f"## Verified in simulation\n\nEpisodes were replayed in `{metadata.environment.id}` as they were converted. The "
-        f"plain transfer succeeds in {kept['plain']} of {n}. Where it fails, others were tried: from another start, with "
-        f"another squeeze, with other points on the pads. With these, {kept.total() - kept['fails']} of {n} succeed. "
+        f"plain transfer succeeds in {plain} of {n}. Where it fails{' or is fragile' if refined else ''}, others were tried: "
+        f"{_REFINED if refined else _LISTED}. With these, {kept.total() - kept['fails']} of {n} succeed. "
     )
+    if refined:
+        before, after = (f"{share / refined:.0%}" for share in held.values())
+        text += (
+            f"Of replays with objects, friction and joints a little otherwise, {before} of the plain transfer and {after} of what is kept hold; "
+            "as these chose it, fresh ones may show less. "
+        )
     if dropped:
         text += f"Left out are {len(dropped)} in which nothing did. "
     text += f"Per episode in `{RECORDS_PATH}`, under `verified`.\n\n"
     return text + markdown_table(("transfer", "episodes"), list(kept.items()))
+
+
+def _kind(how: str) -> str:
+    """What a way is called; corrections are each their own, and count as one kind."""
+    return "corrected" if how.startswith("corrected") else how

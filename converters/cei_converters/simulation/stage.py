@@ -40,6 +40,11 @@ class Stage:
         return self.env.get_wrapper_attr("embodiment").name
 
     @property
+    def n_arm(self) -> int:
+        """How many joints the arm of the robot in it has."""
+        return self.env.get_wrapper_attr("embodiment").n_arm
+
+    @property
     def physics(self) -> Physics:
         """By which rules the simulation treats the robot."""
         return physics_of(self.env)
