@@ -13,13 +13,14 @@ import pytest
 from conversions import record_cubes, records
 
 from cei_converters import convert, replay
-from cei_converters.conversion import verify
 from cei_converters.conversion.refine import RefineOptions
+from cei_converters.conversion.verdict import Verdict, sentence, summarise
 from cei_converters.conversion.verify import Verifier, VerifyOptions
 from cei_converters.simulation.perturbation import Perturbation
 from cei_converters.simulation.stage import Stage
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.alignment import InitialisationOptions
+from cei_gym.alignment.contact.correction import Correction
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
@@ -355,7 +356,7 @@ def test_options_are_checked_where_they_are_made() -> None:
     with pytest.raises(CEIError, match="at least 1"):
         VerifyOptions(enabled=True, attempts=0)
     assert not VerifyOptions().enabled
-    assert verify.sentence(verify.summarise([])) == "plain 0/0, verified 0/0 (0 retried), dropped 0"
+    assert sentence(summarise([])) == "plain 0/0, verified 0/0 (0 retried), dropped 0"
 
 
 # -- refinement ----------------------------------------------------------------------------------------------------------
@@ -382,7 +383,7 @@ class Shaken(FakeStage):
 
 def refined(
     transfer: Transfer, demonstration: Demonstration, stage: Shaken, **options: Any
-) -> tuple[Demonstration, verify.Verdict]:
+) -> tuple[Demonstration, Verdict]:
     refine = RefineOptions(enabled=True, **options)
     moved, _, verdict = Verifier(transfer, stage, VerifyOptions(), refine=refine)(demonstration)
     return moved, verdict
@@ -486,7 +487,7 @@ def test_a_refined_dataset_says_what_was_found(
     monkeypatch.setattr("cei_converters.conversion.converter.open_stage", lambda *_: Shaken(accepts))
     monkeypatch.setattr(Transfer, "fit", lambda self, _: self.start_from(transfer.finalists))
     root = tmp_path / "target"
-    assert converted(folder, root, "--refine", "--refine.perturbed=2") == 0
+    assert converted(folder, root, "--refine", "--refine.perturbed=2", "--refine.generations=0") == 0
     assert "plain 2/2, verified 2/2 (1 retried), dropped 0; of replays held 67% plain, 100% refined" in (
         capsys.readouterr().out
     )
@@ -499,6 +500,28 @@ def test_a_refined_dataset_says_what_was_found(
     assert "67% of the plain transfer and 100% of what is kept hold" in card
     options = json.loads((root / "meta/cei.json").read_text())["provenance"]["options"]
     assert options["refine"]["perturbed"] == 2
+
+
+def test_episodes_that_fail_alike_are_corrected_alike(
+    folder: Path, tmp_path: Path, transfer: Transfer, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """Each has to be 2 mm lower; one episode's own correction is not searched then."""
+    recorded = [DatasetReader("me/source", folder / "source").read(i) for i in range(2)]
+    low = [lowest_m(transfer(each)[0]) - 0.002 for each in recorded]
+    monkeypatch.setattr(
+        "cei_converters.conversion.converter.open_stage",
+        lambda *_: Shaken(lambda shown, _: lowest_m(shown) < low[shown.index]),
+    )
+    monkeypatch.setattr(Transfer, "fit", lambda self, _: self.start_from(transfer.finalists))
+    root = tmp_path / "target"
+    assert converted(folder, root, "--refine", "--refine.perturbed=2") == 0
+    printed = capsys.readouterr().out
+    assert "All episodes are corrected alike where that holds better: " in printed
+    assert "plain 0/2, verified 2/2 (2 retried)" in printed
+    found = {episode["verified"]["how"] for episode in records(root)}
+    assert len(found) == 1 and {episode["verified"]["attempts"] for episode in records(root)} == {2}
+    common = json.loads((root / "meta/cei.json").read_text())["provenance"]["options"]["refine"]["common"]
+    assert found == {f"corrected ({Correction(**common)})"}
 
 
 @pytest.mark.parametrize(

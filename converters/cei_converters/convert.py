@@ -114,10 +114,14 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             progress.console.print(about_table(table_z_m), highlight=False, soft_wrap=True)
         stand(config, place, begun, converter, progress, task)
         progress.reset(task, total=sum(frames), description="choosing the start")
-        plan = _planned(config, place, begun, converter, frames, content)
+        refining = (
+            lambda total: progress.reset(task, total=total, description="searching how to take hold"),
+            lambda done: progress.advance(task, done),
+        )
+        plan = _planned(config, place, begun, converter, frames, content, refining)
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
             return _submitted(config, place, missing)
-        progress.update(task, description="converting")
+        progress.reset(task, total=sum(frames), description="converting")
         if writing is not None:
             passed = {"cameras": converter.cameras, "carried": reader.carried}
             writing.begin(place.root, **plain({"environment": converter.environment, "tasks": reader.tasks, **passed}))
@@ -209,6 +213,7 @@ def _planned(
     converter: "Converter",
     frames: list[int],
     content: Callable[[], str],
+    refining: tuple[Callable[[int], None], Callable[[int], None]],
 ) -> "Plan":
     """The plan that is gone on with, or a new one; the converter then starts where it says.
 
@@ -217,6 +222,7 @@ def _planned(
         begun: the plan that is gone on with.
         frames: of each episode to convert.
         content: waits for the dataset's fingerprint.
+        refining: see `Converter.refine`.
 
     Raises:
         CEIError: what was begun is not what is wanted now, or an episode cannot be read.
@@ -226,13 +232,16 @@ def _planned(
     absolutely = absolute(replace(config, target_pose=converter.target_pose), converter.reader.root)
     if begun is not None:
         begun.check_same(provenance_of(config, converter, content()), place.folder)
-        converter.start_from(begun.finalists)
+        converter.start_from(begun.finalists, begun.correction)
         if config.shard_episodes != begun.config.shard_episodes:
             print(f"Shards stay as they were begun: --shard_episodes={begun.config.shard_episodes}.")
         return replace(begun, config=replace(absolutely, shard_episodes=begun.config.shard_episodes))
     converter.fit()
+    correction = converter.refine(*refining)
+    if correction is not None:
+        print(f"All episodes are corrected alike where that holds better: {correction}.")
     provenance = provenance_of(config, converter, content())
-    plan = Plan(absolutely, provenance, converter.transfer.finalists, frames)
+    plan = Plan(absolutely, provenance, converter.transfer.finalists, frames, correction)
     plan.save(place.plan)
     return plan
 

@@ -17,6 +17,7 @@ from cei_converters.dataset.license import copy_license_files
 from cei_converters.dataset.metadata import PICTURE_PATH, START, Environment, Metadata, Provenance, plain
 from cei_converters.dataset.starts import middle
 from cei_converters.dataset.writer import publish_dataset
+from cei_gym.alignment.contact.correction import Correction
 from cei_gym.transfer import Transfer
 
 
@@ -50,17 +51,21 @@ def assemble(place: StagingDirectory, plan: Plan, converter: Converter, summary:
         environment=_with_start(converter.environment, outcomes(place, plan)),
         clouds=plain(plan.config.clouds),
         total_episodes=len(summary.entries),
-        provenance=_with_choices(plan.provenance, converter.transfer, summary),
+        provenance=_with_choices(plan.provenance, converter.transfer, summary, plan.correction),
     )
     publish_dataset(written, place.root, str(plan.config.new_repo_id), metadata)
 
 
-def _with_choices(provenance: Provenance, transfer: Transfer, summary: Summary) -> Provenance:
+def _with_choices(
+    provenance: Provenance, transfer: Transfer, summary: Summary, correction: Correction | None
+) -> Provenance:
     """Provenance with what was decided on the way: where trajectories start, on which pads, which episodes are dropped."""
     pads = {e.name: plain(e.end_effector.pads) for e in (transfer.source, transfer.target) if e.end_effector}
     options = provenance.options | {"basins": plain(transfer.basins)}
     if summary.verified is not None and "verify" in options:
         options["verify"] = options["verify"] | {"dropped": summary.verified["dropped"]}
+    if correction is not None:
+        options["refine"] = options["refine"] | {"common": plain(correction)}
     if summary.judged is not None:
         options["gate"] = summary.judged
     return replace(provenance, pads=pads, options=options)

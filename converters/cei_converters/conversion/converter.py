@@ -22,6 +22,7 @@ from cei_converters.sources import calibration
 from cei_converters.sources.formats import open_source
 from cei_converters.sources.recording import spread
 from cei_converters.sources.source import Source
+from cei_gym.alignment.contact.correction import Correction
 from cei_gym.arrays import Array
 from cei_gym.embodiment import load_embodiment, use_package_path
 from cei_gym.errors import CEIError
@@ -165,8 +166,30 @@ class Converter:
                 print(told)
             self.transfer.fit([each.demonstration for each in read if each.inside] or shown[:1])
 
-    def start_from(self, finalists: "Sequence[Basin]") -> None:
-        """Take what `fit` found elsewhere."""
+    def refine(self, begin: Callable[[int], None], done: Callable[[int], None]) -> Correction | None:
+        """Search a correction for all episodes, once fitted, by some of them; None without `--refine`, or where none is better.
+
+        Args:
+            begin: called with how many generations there may be.
+            done: called with how many more are done.
+
+        Raises:
+            CEIError: an episode cannot be read.
+        """
+        options, verifier = self._config.refine, self._retarget.verifier
+        if not options.enabled or verifier is None:
+            return None
+        begin(options.generations)
+        with one_thread():
+            read = [self._read(i) for i in spread(len(self.selected), FIT_EPISODES)]
+            demonstrations = [each.demonstration for each in read if each.inside]
+            verifier.common = verifier.search_common(demonstrations, done)
+        return verifier.common
+
+    def start_from(self, finalists: "Sequence[Basin]", correction: Correction | None = None) -> None:
+        """Take what `fit` and `refine` found elsewhere."""
+        if self._retarget.verifier is not None:
+            self._retarget.verifier.common = correction
         if finalists:
             self.transfer.start_from(finalists)
         else:  # the manual baseline looks at one episode, and quickly

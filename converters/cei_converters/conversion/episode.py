@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
-from cei_converters.conversion.verify import Verdict
+from cei_converters.conversion.verdict import Verdict
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.carried import Carried
 from cei_converters.dataset.encoded import EncodedEpisode

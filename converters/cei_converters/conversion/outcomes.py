@@ -14,7 +14,7 @@ from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.reach import spans
 from cei_converters.conversion.shard import Shard
 from cei_converters.conversion.staging import StagingDirectory
-from cei_converters.conversion.verify import check_kept, sentence, summarise
+from cei_converters.conversion.verdict import check_kept, sentence, summarise
 from cei_gym.errors import CEIError
 
 # a table of more rows is nobody's to read

@@ -12,6 +12,7 @@ from draccus.utils import DraccusException
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.conversion.survey import LOWEST
 from cei_converters.dataset.metadata import Provenance, plain
+from cei_gym.alignment.contact.correction import Correction
 from cei_gym.alignment.start.basins import Basin
 from cei_gym.errors import CEIError
 
@@ -27,7 +28,7 @@ WHERE = ("package_path",)
 PLACED = "placed"
 """What provenance has of the place that `--target_pose=auto` found."""
 
-DECIDED = ("basins", "gate", "verify.dropped", "table", PLACED)
+DECIDED = ("basins", "gate", "verify.dropped", "refine.common", "table", PLACED)
 """What provenance has among the options of a finished conversion that nobody gave; see `assemble`."""
 
 
@@ -47,12 +48,14 @@ class Plan:
         provenance: of the run that began it.
         finalists: what `Transfer.fit` found.
         frames: of each episode to convert, as recorded.
+        correction: that all episodes have, if one was found (`--refine`).
     """
 
     config: ConvertConfig
     provenance: Provenance
     finalists: list[Basin] = field(default_factory=list[Basin])
     frames: list[int] = field(default_factory=list[int])
+    correction: Correction | None = None
 
     @property
     def shards(self) -> list[range]:

@@ -15,6 +15,7 @@ class RefineOptions:
         robust: share of replays that is enough.
         replays: most that are spent on an episode; what holds best by then is kept.
         population: corrections of each generation.
+        generations: most that are spent on a correction for all episodes alike, by a few of them, before each is looked at; 0 for none.
         seed: of what is drawn.
     """
 
@@ -23,10 +24,11 @@ class RefineOptions:
     robust: float = 0.8
     replays: int = 120
     population: int = 6
+    generations: int = 6
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("perturbed", 1), ("replays", 1), ("population", 2), ("seed", 0)):
+        for name, least in (("perturbed", 1), ("replays", 1), ("population", 2), ("generations", 0), ("seed", 0)):
             if getattr(self, name) < least:
                 raise CEIError(f"refine.{name}={getattr(self, name)} must be at least {least}.")
         if not 0 < self.robust <= 1:

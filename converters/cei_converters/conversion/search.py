@@ -56,7 +56,7 @@ class Sampled:
         self._told: list[tuple[Array, float]] = []
         self._asked = np.zeros(0)
 
-    def ask(self) -> Attempt | None:
+    def ask(self) -> Attempt:
         self._asked = self._cma.ask()
         return Attempt(correction=_correction(self._asked))
 

@@ -1,15 +1,17 @@
 """Verified transfer: replay each converted episode in physics, and convert it another way where it fails."""
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cei_converters.conversion.common import common_correction
 from cei_converters.conversion.refine import RefineOptions
 from cei_converters.conversion.search import InTurn, Listed, Sampled, Search
 from cei_converters.conversion.trials import Held, Trials
+from cei_converters.conversion.verdict import Verdict
+from cei_gym.alignment.contact.correction import Correction
 from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 from cei_gym.transfer import Attempt
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
     from cei_gym.transfer import Transfer
     from cei_gym.transfer.aligned import Aligned
 
-CORRECTED = "corrected"
 _SAME_RAD = 1e-3  # actions (rad or m) nearer than this to ones that failed are not worth a replay
 _POSE_TOLERANCE = 1e-3  # of a base's position, m, and rotation
 
@@ -48,44 +49,6 @@ class VerifyOptions:
             raise CEIError("--verify.attempts and --verify.drop are of no use without --verify.")
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """What replaying an episode showed.
-
-    Attributes:
-        episode: its index in the source's dataset.
-        success: whether some way of converting it succeeds.
-        attempts: how many were tried.
-        how: the one that is kept (`cei_gym.transfer.Attempt`).
-        failure: why the plain one fails; empty if it does not.
-        dropped: whether the episode is left out.
-        held, plain_held: with refinement, which share of replays succeeded of the way that is kept, and of the plain one; these chose it, so
-            fresh ones (`cei-replay --perturb`) may show less.
-        replays: how many there were.
-    """
-
-    episode: int
-    success: bool
-    attempts: int
-    how: str
-    failure: str
-    dropped: bool = False
-    held: float | None = None
-    plain_held: float | None = None
-    replays: int | None = None
-
-    def record(self) -> dict[str, Any]:
-        """For the dataset's metadata."""
-        names = ["success", "attempts", "how", "failure"]
-        names += [name for name in ("held", "plain_held", "replays") if getattr(self, name) is not None]
-        return {name: getattr(self, name) for name in names}
-
-    def row(self) -> dict[str, str]:
-        """For the table on the terminal."""
-        kept = self.how if self.success else "failed"
-        return {"plain": self.failure or "success", "verified": "dropped" if self.dropped else kept}
-
-
 class Verifier:
     """Transfers demonstrations such that they succeed in physics, where some way of transferring them does.
 
@@ -99,6 +62,9 @@ class Verifier:
         options: see there.
         allow_unreachable: accept transfers that cannot reach every frame; otherwise they fail without a replay.
         refine: see there.
+
+    Attributes:
+        common: the correction that all episodes have where it holds better than none; what is searched is around it.
     """
 
     def __init__(
@@ -112,6 +78,7 @@ class Verifier:
         self._transfer, self._stage, self._options = transfer, stage, options
         self._allow_unreachable = allow_unreachable
         self._refine = refine if refine is not None and refine.enabled else None
+        self.common: Correction | None = None
 
     def __call__(
         self, demonstration: "Demonstration", mode: int = 0
@@ -127,6 +94,9 @@ class Verifier:
         aligned = self._transfer.aligned(demonstration, mode)
         plain = self._tried(trials, aligned, Attempt())
         best, tried, search = plain, [plain], self._search(demonstration, aligned, mode)
+        if self.common is not None:
+            tried.append(self._tried(trials, aligned, Attempt(correction=self.common)))
+            best = max(tried[::-1], key=lambda way: way.share)
         while not self._is_enough(best.share) and not (refine and trials.replays >= refine.replays):
             if (attempt := search.ask()) is None:
                 break
@@ -153,6 +123,15 @@ class Verifier:
             verdict = replace(verdict, held=best.share, plain_held=plain.share, replays=trials.replays)
         return moved, report, verdict
 
+    def search_common(
+        self, demonstrations: "Sequence[Demonstration]", done: Callable[[int], None]
+    ) -> Correction | None:
+        """A correction for all episodes, by these; see `common_correction`."""
+        assert self._refine is not None
+        return common_correction(
+            self._transfer, self._stage, demonstrations, self._refine, self._allow_unreachable, done
+        )
+
     def _search(self, demonstration: "Demonstration", aligned: "Aligned", mode: int) -> Search:
         """What to try where the plain way does not hold."""
         searches: list[Search] = []
@@ -160,7 +139,7 @@ class Verifier:
             searches.append(Listed(self._transfer.attempts(self._options.attempts, mode)[1:]))
         if self._refine is not None and aligned.holds:
             seed = (self._refine.seed, demonstration.index, mode)
-            searches.append(Sampled(seed, self._refine.population))
+            searches.append(Sampled(seed, self._refine.population, self.common))
         return InTurn(searches)
 
     def _is_enough(self, share: float) -> bool:
@@ -230,58 +209,3 @@ def open_stage(repo_id: str, environment: "Environment", target: str, T_world_ba
             f"the base of {environment.id} is not where the converted robot's is; leave --verify or --target_pose out."
         )
     return stage
-
-
-def summarise(verdicts: Sequence[Verdict]) -> dict[str, Any]:
-    """The result of a verified conversion, apart from that of the plain one."""
-    return {
-        "episodes": len(verdicts),
-        "plain_successes": sum(not v.failure for v in verdicts),
-        "verified_successes": sum(v.success for v in verdicts),
-        "retried": sum(v.attempts > 1 for v in verdicts),
-        "dropped": [v.episode for v in verdicts if v.dropped],
-        "how": dict(Counter(_kind(v.how) for v in verdicts if v.success)),
-        **_shares(verdicts),
-        "results": [{"episode": v.episode, **v.record()} for v in verdicts],
-    }
-
-
-def _kind(how: str) -> str:
-    """Corrections are each their own; they count as one kind."""
-    return CORRECTED if how.startswith(CORRECTED) else how
-
-
-def _shares(verdicts: Sequence[Verdict]) -> dict[str, float]:
-    """Which share of replays holds in the mean, plain and kept, where episodes are refined."""
-    refined = [v for v in verdicts if v.held is not None]
-    if not refined:
-        return {}
-    names = ("plain_held", "held")
-    return {name: float(np.mean([getattr(v, name) for v in refined])) for name in names} | {
-        "replays": sum(v.replays or 0 for v in refined)
-    }
-
-
-def sentence(summary: dict[str, Any]) -> str:
-    """`summarise` in one line."""
-    n = summary["episodes"]
-    text = (
-        f"plain {summary['plain_successes']}/{n}, verified {summary['verified_successes']}/{n} "
-        f"({summary['retried']} retried), dropped {len(summary['dropped'])}"
-    )
-    if "held" not in summary:
-        return text
-    return f"{text}; of replays held {summary['plain_held']:.0%} plain, {summary['held']:.0%} refined ({summary['replays']} replays)"
-
-
-def check_kept(summary: dict[str, Any]) -> None:
-    """Check that an episode is left.
-
-    Raises:
-        CEIError: all are dropped.
-    """
-    n = len(summary["dropped"])
-    if n == summary["episodes"]:
-        raise CEIError(
-            f"no episode of {n} succeeds, so all are dropped and nothing is written; leave out --verify.drop."
-        )

@@ -104,7 +104,7 @@ def _opened(root: Path) -> tuple[Converter, Plan]:
     place = StagingDirectory(root, resume=True)
     plan = Plan.load(place.plan)
     converter = Converter(plan.config, None if plan.config.dry_run else place.scratch)
-    converter.start_from(plan.finalists)
+    converter.start_from(plan.finalists, plan.correction)
     return converter, plan
 
 

@@ -1,0 +1,82 @@
+"""A correction for all episodes of a dataset, where they fail alike: one chosen on a single episode may harm the others."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cei_converters.conversion.refine import RefineOptions
+from cei_converters.conversion.search import Sampled
+from cei_converters.conversion.trials import Trials
+from cei_gym.alignment.contact.correction import Correction
+from cei_gym.demonstration import Demonstration
+from cei_gym.transfer import Attempt, Transfer
+
+if TYPE_CHECKING:
+    from cei_converters.simulation.stage import Stage
+    from cei_gym.transfer.aligned import Aligned
+
+_BETTER = 0.1  # share of replays: less may be luck
+
+
+def common_correction(
+    transfer: Transfer,
+    stage: "Stage",
+    demonstrations: Sequence[Demonstration],
+    options: RefineOptions,
+    allow_unreachable: bool = False,
+    done: Callable[[int], None] = lambda _: None,
+) -> Correction | None:
+    """Search one by rollouts of some episodes, each as it is and perturbed once.
+
+    Args:
+        transfer: fitted.
+        stage: the target's environment.
+        demonstrations: of the source, spread over the dataset.
+        options: of refinement.
+        allow_unreachable: whether what is out of reach somewhere is replayed.
+        done: called with how many generations more are done, of `options.generations`.
+
+    Returns:
+        None where episodes hold well enough as they are, or nothing holds clearly better.
+    """
+    aligned = [transfer.aligned(demonstration) for demonstration in demonstrations]
+    aligned = [each for each in aligned if each.holds]
+    if not aligned or not options.generations:
+        return None
+    judged = _Judged(transfer, Trials(stage, 1, allow_unreachable), aligned)
+    plain = judged.share(None)
+    if plain >= options.robust:
+        return None
+    search, found = Sampled((options.seed, len(aligned)), options.population), dict[Correction, float]()
+    for _ in range(options.generations):
+        for _ in range(options.population):
+            correction = search.ask().correction
+            assert correction is not None
+            found[correction] = judged.share(correction)
+            search.tell(found[correction])
+        done(1)
+        if max(found.values()) == 1:
+            break
+    best = max(found, key=lambda each: found[each])
+    if found[best] < plain + _BETTER:
+        return None
+    return best if judged.confirmed(best) >= judged.confirmed(None) + _BETTER else None
+
+
+class _Judged:
+    """How well corrections do on all of some episodes."""
+
+    def __init__(self, transfer: Transfer, trials: Trials, aligned: "Sequence[Aligned]") -> None:
+        self._transfer, self._trials, self._aligned = transfer, trials, aligned
+
+    def share(self, correction: Correction | None) -> float:
+        """Of replays that hold, in the mean over episodes."""
+        return float(np.mean([self._trials.judge(*self._made(each, correction)).share for each in self._aligned]))
+
+    def confirmed(self, correction: Correction | None) -> float:
+        """The same of others, that nothing was chosen by."""
+        return float(np.mean([self._trials.confirm(self._made(each, correction)[0]) for each in self._aligned]))
+
+    def _made(self, aligned: "Aligned", correction: Correction | None):
+        return self._transfer.made(aligned, Attempt(correction=correction), clouds=False)
