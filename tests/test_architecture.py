@@ -184,6 +184,7 @@ LAYERS = {
             "quality_picture",
             "place_picture",
             "stand",
+            "planned",
             "workers",
         ),
         *("writing", "outcomes", "preloaded", "assemble"),

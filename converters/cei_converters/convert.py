@@ -1,7 +1,6 @@
 """`cei-convert`: one robot's LeRobot dataset becomes another's."""
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,8 +20,6 @@ from cei_gym import extras
 from cei_gym.errors import CEIError
 
 if TYPE_CHECKING:
-    from cei_converters.conversion.converter import Converter
-    from cei_converters.conversion.plan import Plan
     from cei_converters.conversion.staging import StagingDirectory
     from cei_converters.dataset.metadata import Provenance
 
@@ -62,6 +59,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.executors import warm_up
     from cei_converters.conversion.outcomes import residuals, summarise_conversion
     from cei_converters.conversion.plan import Plan, to_begin_anew
+    from cei_converters.conversion.planned import planned
     from cei_converters.conversion.staging import StagingDirectory
     from cei_converters.conversion.stand import stand
     from cei_converters.conversion.survey import LOWEST, survey
@@ -114,11 +112,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             progress.console.print(about_table(table_z_m), highlight=False, soft_wrap=True)
         stand(config, place, begun, converter, progress, task)
         progress.reset(task, total=sum(frames), description="choosing the start")
-        refining = (
-            lambda total: progress.reset(task, total=total, description="searching how to take hold"),
-            lambda done: progress.advance(task, done),
-        )
-        plan = _planned(config, place, begun, converter, frames, content, refining)
+        plan = planned(config, place, begun, converter, content, progress, task)
         if config.executor == "slurm" and (missing := place.missing(len(plan.shards))):
             return _submitted(config, place, missing)
         progress.reset(task, total=sum(frames), description="converting")
@@ -204,46 +198,6 @@ def _check_unchanged(begun: "Provenance", config: ConvertConfig, anew: str) -> s
     content = fingerprint(find_root(config.dataset.repo_id, config.dataset.root))
     check_unchanged(begun, {DATASET: content, **files_by_content(config)}, anew)
     return content
-
-
-def _planned(
-    config: ConvertConfig,
-    place: "StagingDirectory",
-    begun: "Plan | None",
-    converter: "Converter",
-    frames: list[int],
-    content: Callable[[], str],
-    refining: tuple[Callable[[int], None], Callable[[int], None]],
-) -> "Plan":
-    """The plan that is gone on with, or a new one; the converter then starts where it says.
-
-    Args:
-        config, place, converter: of the conversion.
-        begun: the plan that is gone on with.
-        frames: of each episode to convert.
-        content: waits for the dataset's fingerprint.
-        refining: see `Converter.refine`.
-
-    Raises:
-        CEIError: what was begun is not what is wanted now, or an episode cannot be read.
-    """
-    from cei_converters.conversion.plan import Plan, absolute
-
-    absolutely = absolute(replace(config, target_pose=converter.target_pose), converter.reader.root)
-    if begun is not None:
-        begun.check_same(provenance_of(config, converter, content()), place.folder)
-        converter.start_from(begun.finalists, begun.correction)
-        if config.shard_episodes != begun.config.shard_episodes:
-            print(f"Shards stay as they were begun: --shard_episodes={begun.config.shard_episodes}.")
-        return replace(begun, config=replace(absolutely, shard_episodes=begun.config.shard_episodes))
-    converter.fit()
-    correction = converter.refine(*refining)
-    if correction is not None:
-        print(f"All episodes are corrected alike where that holds better: {correction}.")
-    provenance = provenance_of(config, converter, content())
-    plan = Plan(absolutely, provenance, converter.transfer.finalists, frames, correction)
-    plan.save(place.plan)
-    return plan
 
 
 def _submitted(config: ConvertConfig, place: "StagingDirectory", missing: list[int]) -> dict[str, Any]:
