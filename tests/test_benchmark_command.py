@@ -219,6 +219,37 @@ def test_cells_of_several_sources_stand_in_one_table_and_are_not_taken_for_each_
     assert "other settings (source: UR5e-PandaGripper, here Panda-PandaGripper)" in complaint()
 
 
+def test_refined_cells_stand_beside_plain_ones_with_what_holds_when_shaken(tmp_path: Path) -> None:
+    results = Results(tmp_path, range(3, 23), SOURCE, perturb=4)
+    for target, variant, successes, share in (
+        (SOURCE, "cei", 20, 1.0),
+        ("IIWA-Inspire", "cei", 12, 0.5),
+        ("IIWA-Inspire", "refined", 19, 0.9),
+    ):
+        result = made_up(successes, 20) | {"seconds": {"replay": 1.0}}
+        result["replay"]["perturbed"] = {
+            "replays": 4,
+            "share": share,
+            "interval_95": [share - 0.1, min(1, share + 0.1)],
+        }
+        results.write(Cell("Pick-Nut", target, variant), result)
+    found = finished_robots(results)
+    assert {cell.variant for cell in found} == {"cei", "refined"}
+    text = robots_markdown(rows_of(found), ["c"])
+    assert "| Pick-Nut | IIWA-Inspire | plain | 12 of 20 |" in text and "| 50% (40% to 60%) |" in text
+    assert "| Pick-Nut | IIWA-Inspire | refined | 19 of 20 |" in text and "| 90% (80% to 100%) |" in text
+    assert text.index("| plain | 12 of 20") < text.index("| refined | 19 of 20")
+    assert "Perturbed is the share of 4 replays each" in text
+    cells = robot_cells("Pick-Nut", ["IIWA-Inspire"], SOURCE, refine=True)
+    assert [(cell.target, cell.variant) for cell in cells] == [
+        *((SOURCE, "cei"), ("IIWA-Inspire", "cei")),
+        ("IIWA-Inspire", "refined"),
+    ]
+    assert beyond_the_paper("IIWA-Inspire", "PickCube", SOURCE, refine=True) == ["IIWA-Inspire"]
+    with pytest.raises(CEIError, match=r"other settings \(perturb: 4, here 0\)"):
+        finished_robots(Results(tmp_path, range(3, 23), SOURCE))
+
+
 def test_joints_are_those_of_a_plain_conversion(folder: Path) -> None:
     """Though clouds are cut short."""
     source = DatasetConfig("me/source", str(folder / "work/3-1" / SOURCE_CELL / "dataset"))

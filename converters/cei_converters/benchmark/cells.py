@@ -20,6 +20,7 @@ VARIANTS: dict[str, list[str]] = {
     "no_direction_no_contact": [*NO_DIRECTION, *NO_CONTACT],
     "reduced": ["--transfer.representation=reduced"],
     "dropped": ["--transfer.representation=dropped"],
+    "refined": ["--refine"],
 }
 """Options of `cei-convert` that differ from the defaults."""
 

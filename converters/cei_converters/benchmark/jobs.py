@@ -56,7 +56,13 @@ def recorded_seeds(root: Path) -> list[int]:
 
 
 def run_cell(
-    cell: Cell, folder: Path, keep_dataset: bool, source: str = SOURCE, stock: bool = True, film: Path | None = None
+    cell: Cell,
+    folder: Path,
+    keep_dataset: bool,
+    source: str = SOURCE,
+    stock: bool = True,
+    film: Path | None = None,
+    perturb: int = 0,
 ) -> dict[str, Any]:
     """Convert the source's demonstrations and replay them; with stock physics too if the method is not varied.
 
@@ -67,6 +73,7 @@ def run_cell(
         source: whose demonstrations they are.
         stock: whether to replay with stock physics at all.
         film: MP4 of one demonstration, source and target side by side, with a contact sheet (PNG) of the same name; None for none.
+        perturb: how often to replay each slightly otherwise, too.
 
     Returns:
         The cell's JSON but for what `Results` and the command add.
@@ -87,8 +94,12 @@ def run_cell(
         ]
         converted = _timed(seconds, "convert", lambda: convert(parse(ConvertConfig, options, "cei-convert", "")))
         found["alignment"] = converted["results"]
+        if "verify" in converted:
+            found["verify"] = converted["verify"]
     dataset = DatasetConfig(_repo_id(root), root)
-    found["replay"] = _timed(seconds, "replay", lambda: replay(ReplayConfig(dataset, video_episodes=0)))
+    found["replay"] = _timed(
+        seconds, "replay", lambda: replay(ReplayConfig(dataset, perturb=perturb, video_episodes=0))
+    )
     if stock and cell.variant == "cei":
         config = ReplayConfig(dataset, stock_physics=True, video_episodes=0)
         found["stock_replay"] = _timed(seconds, "stock_replay", lambda: replay(config))

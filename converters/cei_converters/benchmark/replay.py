@@ -50,6 +50,10 @@ class ReplayBenchmarkConfig:
     # without the paper.
     results: Path | None = None
     work: Path = Path("outputs/replay-benchmark")  # Folder for datasets, which are made anew there.
+    perturb: int = (
+        0  # Also replay each so many times slightly otherwise, as cei-replay does, and show the share that holds.
+    )
+    refine: bool = False  # Also convert with --refine. It gives a table without the paper.
     jobs: int | None = None  # Cells at a time, up to 4 GB of memory each; default: one a core.
     keep_datasets: bool = False  # Keep converted datasets, not only the recorded ones.
     redraw: bool = False  # Run nothing: tables and heat map of the cells that are finished.
@@ -57,7 +61,8 @@ class ReplayBenchmarkConfig:
     def __post_init__(self) -> None:
         for name in ("episodes", "jobs"):
             check_range(f"--{name}", getattr(self, name), 1)
-        check_range("--seed", self.seed, 0)
+        for name in ("seed", "perturb"):
+            check_range(f"--{name}", getattr(self, name), 0)
         if self.redraw and (self.jobs is not None or self.keep_datasets):
             raise CEIError("--redraw runs nothing; leave out --jobs and --keep_datasets.")
 
@@ -69,7 +74,7 @@ def replay_benchmark(config: ReplayBenchmarkConfig) -> None:
         CEIError: bad options, cells of other settings in the way, or some cell failed (the others are kept).
     """
     check_embodiment(config.source, "source")
-    robots = beyond_the_paper(config.targets, config.tasks, config.source)
+    robots = beyond_the_paper(config.targets, config.tasks, config.source, config.refine)
     if robots and config.tables is not None:
         raise CEIError(
             f"--tables={config.tables} are the paper's, which have no place for these targets, tasks or this source; leave it out."
@@ -77,11 +82,11 @@ def replay_benchmark(config: ReplayBenchmarkConfig) -> None:
     folder = config.results or Path("results/robots" if robots else "results/replay")
     check_folders(folder, config.work)
     cells = (
-        robot_cells(config.tasks, robots, config.source)
+        robot_cells(config.tasks, robots, config.source, config.refine)
         if robots
         else select(config.tables, config.tasks, config.targets)
     )
-    results = Results(folder, range(config.seed, config.seed + config.episodes), config.source)
+    results = Results(folder, range(config.seed, config.seed + config.episodes), config.source, config.perturb)
     # the others too: all of them make the tables
     finished = finished_robots(results) if robots else results.read_all()
     check_derived(results.folder, DERIVED_OF_ROBOTS if robots else DERIVED, bool(finished))
@@ -148,7 +153,7 @@ def _draw_robots(results: Results, config: ReplayBenchmarkConfig) -> None:
     write_json(Output(results.folder / DATA, replaces=True), data)
     (results.folder / REPORT).write_text(text + "\n")
     # the tasks too where it is they that the paper does not have
-    tasks = None if beyond_the_paper(config.targets, None, config.source) else config.tasks
+    tasks = None if beyond_the_paper(config.targets, None, config.source, config.refine) else config.tasks
     command = _command(replace(config, tasks=tasks))
     keep_derived(results.folder, DERIVED_OF_ROBOTS, f"{command} --redraw", "*-*-*.json")
     print_markdown(text)

@@ -86,8 +86,12 @@ def _jobs(wanted: Mapping[Cell, Results], how: Replaying) -> Sequence[Any]:
     for task in sorted(tasks, key=lambda task: (LAST.index(task) if task in LAST else -1, task)):
         seeds, source = tasks[task].seeds, tasks[task].source
         then = tuple(
-            Job(cell.name, run_cell, (cell, how.work, how.keep_datasets, source, how.stock, how.films.get(cell)))
-            for cell in wanted
+            Job(
+                cell.name,
+                run_cell,
+                (cell, how.work, how.keep_datasets, source, how.stock, how.films.get(cell), results.perturb),
+            )
+            for cell, results in wanted.items()
             if cell.task == task
         )
         jobs.append(Job(f"{task}, recording {source}", record_source, (task, how.work, seeds, source), then))

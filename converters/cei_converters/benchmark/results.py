@@ -12,7 +12,7 @@ from cei_converters.cli.result import write_json
 from cei_converters.dataset.place import check_parent
 from cei_gym.errors import CEIError, one_line
 
-UNSAID = {"source": SOURCE}
+UNSAID: dict[str, Any] = {"source": SOURCE, "perturb": 0}
 """Settings of finished cells that do not say them, as they were made before there was a choice."""
 
 
@@ -24,11 +24,13 @@ class Results:
         folder: where they are.
         seeds: of the demonstrations.
         source: whose they are.
+        perturb: how often each is also replayed slightly otherwise.
     """
 
     folder: Path
     seeds: range
     source: str = SOURCE
+    perturb: int = 0
 
     def path(self, cell: Cell) -> Path:
         """File of a cell."""
@@ -38,7 +40,7 @@ class Results:
         """What a finished cell must have been made with to count."""
         seeds = [self.seeds[0], self.seeds[-1]]
         names = {"task": cell.task, "source": self.source, "target": cell.target, "variant": cell.variant}
-        return {"seeds": seeds, **names, "options": VARIANTS[cell.variant]}
+        return {"seeds": seeds, **names, "options": VARIANTS[cell.variant], "perturb": self.perturb}
 
     def read(self, cell: Cell) -> dict[str, Any] | None:
         """A finished cell; None if it is not.

@@ -1,6 +1,6 @@
 """Targets, sources and tasks that the paper does not have: any embodiment, of the catalogue or of one's own; their cells, and the table of them."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,22 +13,24 @@ type Found = Mapping[Cell, Mapping[str, Any]]
 """Finished cells: the contents of their JSONs."""
 
 REPORT, DATA = "replay.md", "replay.json"
+REFINED = "refined"
 
 
-def beyond_the_paper(targets: str | None, tasks: str | None, source: str) -> list[str]:
+def beyond_the_paper(targets: str | None, tasks: str | None, source: str, refine: bool = False) -> list[str]:
     """The targets of a list such as `a,b` (default: the paper's sixteen), if the paper's tables have no place for them; else none.
 
     Args:
         targets: the list.
         tasks: a list of tasks; the paper's tables have a place for others only beside one of their own.
         source: whose demonstrations they are.
+        refine: whether they are refined, too, which the paper does not.
 
     Raises:
         CEIError: there is no such embodiment, or its description is refused.
     """
     names = [*TARGETS] if targets is None else split(targets)
     of_paper = tasks is None or any(task in TASKS for task in listed_tasks(tasks))
-    if of_paper and source == SOURCE and all(name in TARGETS for name in names):
+    if of_paper and not refine and source == SOURCE and all(name in TARGETS for name in names):
         return []
     for name in names:
         if name not in TARGETS:
@@ -37,13 +39,16 @@ def beyond_the_paper(targets: str | None, tasks: str | None, source: str) -> lis
     return names
 
 
-def robot_cells(tasks: str | None, targets: Iterable[str], source: str) -> list[Cell]:
-    """A cell for each target in each task (a list such as `a,b`; None for all of the paper's), and the source's own.
+def robot_cells(tasks: str | None, targets: Iterable[str], source: str, refine: bool = False) -> list[Cell]:
+    """A cell for each target in each task (a list such as `a,b`; None for all of the paper's), and the source's own; if `refine` each target's
+    refined, too.
 
     Raises:
         CEIError: there is no such task.
     """
-    return [Cell(task, target) for task in listed_tasks(tasks) for target in dict.fromkeys([source, *targets])]
+    names, targets = listed_tasks(tasks), [*dict.fromkeys([source, *targets])]
+    refined = [Cell(task, target, REFINED) for task in names for target in targets if refine and target != source]
+    return [Cell(task, target) for task in names for target in targets] + refined
 
 
 def finished_robots(results: Results) -> Found:
@@ -55,8 +60,8 @@ def finished_robots(results: Results) -> Found:
     found: dict[Cell, Mapping[str, Any]] = {}
     for path in sorted(results.folder.glob("*-*-*.json")):
         loaded = load_cell(path) or {}
-        cell = Cell(str(loaded.get("task")), str(loaded.get("target")))
-        if path.stem != cell.name:  # a variant, or another benchmark's
+        cell = Cell(str(loaded.get("task")), str(loaded.get("target")), str(loaded.get("variant")))
+        if path.stem != cell.name or cell.variant not in ("cei", REFINED):  # another variant, or another benchmark's
             continue
         if (result := replace(results, source=source_of(loaded)).read(cell)) is not None:
             found[cell] = result
@@ -66,7 +71,10 @@ def finished_robots(results: Results) -> Found:
 def rows(found: Found) -> list[dict[str, Any]]:
     """A row for each cell, as JSON types: the source first in each task. Seconds are those of converting and replaying all episodes."""
     listed: list[dict[str, Any]] = []
-    for cell in sorted(found, key=lambda cell: (cell.task, cell.target != source_of(found[cell]), cell.target)):
+    order = {
+        cell: (cell.task, cell.target != source_of(result), cell.target, cell.variant) for cell, result in found.items()
+    }
+    for cell in sorted(found, key=lambda cell: order[cell]):
         replay, alignment = found[cell]["replay"], found[cell].get("alignment", [])
         qualities = [episode["quality"] for episode in alignment]
         listed.append(
@@ -74,9 +82,11 @@ def rows(found: Found) -> list[dict[str, Any]]:
                 "task": cell.task,
                 "source": source_of(found[cell]),
                 "embodiment": cell.target,
+                "refined": cell.variant == REFINED,
                 "successes": replay["successes"],
                 "episodes": replay["episodes"],
                 "interval_95": [round(bound, 3) for bound in replay["interval_95"]],
+                "perturbed": replay.get("perturbed"),
                 "quality_mean": round(sum(qualities) / len(qualities), 3) if qualities else None,
                 "seconds": round(sum(found[cell]["seconds"].values()), 1),
                 "failures": replay["failures"],
@@ -87,32 +97,47 @@ def rows(found: Found) -> list[dict[str, Any]]:
 
 def robots_markdown(rows: Sequence[Mapping[str, Any]], commits: Iterable[str]) -> str:
     """The table, for people, below one of tasks by robots where there are several."""
-    lines = [
-        ["task", "embodiment", "success", "95 % (Wilson)", "quality", "seconds", "failures"],
-        ["---"] * 7,
-        *(
-            [
-                row["task"],
-                row["embodiment"] + (" (source)" if row["embodiment"] == row["source"] else ""),
-                f"{row['successes']} of {row['episodes']}",
-                "{:.0%} to {:.0%}".format(*row["interval_95"]),
-                "-" if row["quality_mean"] is None else f"{row['quality_mean']:.2f}",
-                f"{row['seconds']:.0f}",
-                ", ".join(f"{reason}: {count}" for reason, count in row["failures"].items()) or "-",
-            ]
-            for row in rows
-        ),
-    ]
+    columns: dict[str, Callable[[Mapping[str, Any]], str]] = {
+        "task": lambda row: row["task"],
+        "embodiment": lambda row: row["embodiment"] + (" (source)" if row["embodiment"] == row["source"] else ""),
+        "conversion": lambda row: "refined" if row["refined"] else "plain",
+        "success": lambda row: f"{row['successes']} of {row['episodes']}",
+        "95 % (Wilson)": lambda row: "{:.0%} to {:.0%}".format(*row["interval_95"]),
+        "perturbed": lambda row: "-" if row["perturbed"] is None else _held(row["perturbed"]),
+        "quality": lambda row: "-" if row["quality_mean"] is None else f"{row['quality_mean']:.2f}",
+        "seconds": lambda row: f"{row['seconds']:.0f}",
+        "failures": lambda row: ", ".join(f"{reason}: {count}" for reason, count in row["failures"].items()) or "-",
+    }
+    refined, perturbed = any(row["refined"] for row in rows), [row["perturbed"] for row in rows if row["perturbed"]]
+    if not refined:
+        del columns["conversion"]
+    if not perturbed:
+        del columns["perturbed"]
+    lines = [[*columns], ["---"] * len(columns), *([text(row) for text in columns.values()] for row in rows)]
+    about = (
+        f"Demonstrations of {_sources(rows)}, converted for each robot and replayed in physics from the same starts. Quality is the conversion's, 0 to 1,"
+        " a mean over episodes; seconds are those of converting and replaying all of them on one core."
+    )
+    if refined:
+        about += " Refined ones were searched a correction by rollouts (`--refine`) where they fail or are fragile."
+    if perturbed:
+        about += (
+            f" Perturbed is the share of {perturbed[0]['replays']} replays each that succeed with objects, friction and joints a little otherwise "
+            "(`cei-replay --perturb`), none of which anything was chosen by."
+        )
     return "\n\n".join(
         [
             "# Replay of transferred demonstrations",
-            f"Demonstrations of {_sources(rows)}, converted for each robot and replayed in physics from the same starts. Quality is the conversion's, 0 to 1,"
-            " a mean over episodes; seconds are those of converting and replaying all of them on one core.",
+            about,
             *_overview(rows),
             _table(lines),
             f"Measured at {mark_of(DATA, sorted(set(commits)))}.",
         ]
     )
+
+
+def _held(perturbed: Mapping[str, Any]) -> str:
+    return "{:.0%} ({:.0%} to {:.0%})".format(perturbed["share"], *perturbed["interval_95"])
 
 
 def _sources(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -133,14 +158,16 @@ def _overview(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     tasks = [*dict.fromkeys(row["task"] for row in rows)]
     if len(tasks) == 1:
         return []
-    found = {(row["embodiment"], row["task"]): row for row in rows}
+    found = {(row["embodiment"], row["task"], row["refined"]): row for row in rows}
 
     def cell(robot: str, task: str) -> str:
-        row = found.get((robot, task))
-        return "" if row is None else f"{row['successes']}/{row['episodes']}{' *' if robot == row['source'] else ''}"
+        plain, refined = (found.get((robot, task, refined)) for refined in (False, True))
+        figures = [f"{row['successes']}/{row['episodes']}" for row in (plain, refined) if row is not None]
+        return ", ".join(figures) + (" *" if plain is not None and robot == plain["source"] else "")
 
-    lines = [[robot, *(cell(robot, task) for task in tasks)] for robot in dict.fromkeys(robot for robot, _ in found)]
-    return [_table([["", *tasks], ["---"] * (1 + len(tasks)), *lines]), "`*`: the source itself."]
+    lines = [[robot, *(cell(robot, task) for task in tasks)] for robot in dict.fromkeys(robot for robot, _, _ in found)]
+    refined = " The second of two figures is of refined conversions." if any(row["refined"] for row in rows) else ""
+    return [_table([["", *tasks], ["---"] * (1 + len(tasks)), *lines]), f"`*`: the source itself.{refined}"]
 
 
 def _table(lines: Iterable[Iterable[str]]) -> str:
