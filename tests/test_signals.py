@@ -294,3 +294,21 @@ def test_a_conversion_that_is_terminated_is_gone_on_with(source: Path, tmp_path:
     assert error == f"What is done is kept in {shards.parent}: the same command with --resume goes on.\nterminated\n"
     assert convert.main([*killed.arguments(source, root), "--resume"]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["x"]
+
+
+def test_a_signal_that_strikes_what_a_compiler_calls_back_is_heard_later() -> None:
+    """What is raised in a callback of ctypes is printed, and lost."""
+    script = (
+        "import ctypes, os, signal, sys, time\n"
+        "from cei_converters import signals\n"
+        "signals.own()\n"
+        "body = 'def back():\\n    import os, signal, time\\n    os.kill(os.getpid(), signal.SIGTERM)\\n    time.sleep(0.05)\\n'\n"
+        "found = {}\n"
+        "exec(compile(body, os.path.join('somewhere', 'llvmlite', 'binding', 'executionengine.py'), 'exec'), found)\n"
+        "ctypes.CFUNCTYPE(None)(found['back'])()\n"
+        "for _ in range(500):\n"
+        "    time.sleep(0.01)\n"
+        "print('deaf')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr, done.stdout) == (128 + signal.SIGTERM, "terminated\n", "")

@@ -21,6 +21,9 @@ WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGH
 PATIENCE_S = 3.0
 """How long giving up may take before the process ends without: an exception was swallowed, or a thread is waited for."""
 
+_DEAF = os.path.join("llvmlite", "binding", "executionengine.py")  # noqa: PTH118  (a part of a path)
+_AGAIN_S = 0.01
+
 
 class _State:
     received: int | None = None  # the signal that ends the command
@@ -138,16 +141,29 @@ def _ignore() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _on_signal(number: int, _frame: FrameType | None) -> None:
+def _on_signal(number: int, frame: FrameType | None) -> None:
     if _state.over is not None:
         os._exit(_state.over)
     if _state.received is not None:  # it is giving up already: a second Ctrl-C must not break that
         return
     _state.received = number
+    _give_up_when_heard(number, frame)
+
+
+def _give_up_when_heard(_number: int, frame: FrameType | None) -> None:
+    """Give up, later where it has to wait, or where nobody would hear: what is raised in what numba's compiler calls back is printed, and lost."""
+    if _state.over is not None:
+        os._exit(_state.over)
     if _state.held:
         _state.waiting = True
-    else:
-        _give_up()
+        return
+    while frame is not None:
+        if frame.f_code.co_filename.endswith(_DEAF):
+            signal.signal(signal.SIGALRM, _give_up_when_heard)
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            return
+        frame = frame.f_back
+    _give_up()
 
 
 def _give_up() -> NoReturn:

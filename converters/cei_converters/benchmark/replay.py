@@ -50,9 +50,8 @@ class ReplayBenchmarkConfig:
     # without the paper.
     results: Path | None = None
     work: Path = Path("outputs/replay-benchmark")  # Folder for datasets, which are made anew there.
-    perturb: int = (
-        0  # Also replay each so many times slightly otherwise, as cei-replay does, and show the share that holds.
-    )
+    # Also replay each so many times slightly otherwise, as cei-replay does, and show the share that holds.
+    perturb: int = 0
     refine: bool = False  # Also convert with --refine. It gives a table without the paper.
     jobs: int | None = None  # Cells at a time, up to 4 GB of memory each; default: one a core.
     keep_datasets: bool = False  # Keep converted datasets, not only the recorded ones.

@@ -45,9 +45,7 @@ class ConvertConfig:
     privileged_state: bool = False  # Let policies see the state of objects, as observation.environment_state.
     min_quality: float | None = None  # Leave out episodes whose quality, from 0 to 1, is lower.
     flag: float | None = None  # Keep episodes whose quality is lower, and mark them.
-    drop_strays: bool = (
-        False  # Leave out episodes in which the target goes another way in its joints than in the others.
-    )
+    drop_strays: bool = False  # Leave out episodes in which the target goes another way in its joints.
     push_to_hub: bool = False  # Upload the converted dataset.
     private: bool = False  # Make the uploaded dataset private.
     branch: str | None = None  # Upload to this branch, made if there is none; default: main.
