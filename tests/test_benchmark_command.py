@@ -370,6 +370,15 @@ def made_up(successes: int, stock: int) -> dict:
     }
 
 
+def test_the_papers_tables_say_what_holds_when_shaken() -> None:
+    found = {Cell("StackCube", target): made_up(20, 20) for target in ("UR5e-FourierRight", "IIWA-Inspire")}
+    assert "Slightly otherwise" not in markdown(found)
+    for result, share in zip(found.values(), (0.9, 0.7), strict=True):
+        result["replay"]["perturbed"] = {"replays": 4, "share": share, "interval_95": [0.5, 1.0]}
+    text = markdown(found)
+    assert "Percent of 4 replays of each demonstration" in text and "| StackCube | 2 of 16 | 80 | 70 |" in text
+
+
 def test_averages_compare_with_the_paper_over_the_same_cells() -> None:
     found = {Cell("PickCube", "UR5e-FourierRight"): made_up(20, 10), Cell("PickCube", "IIWA-Inspire"): made_up(10, 0)}
     assert averages(found, "PickCube") == (75, 25, (81 + 45) / 2)

@@ -275,9 +275,15 @@ def test_an_episode_that_goes_another_way_is_told_of_and_left_out_where_that_is_
     assert converted(folder, dropped, "--verify", "--drop_strays") == 0
     assert "goes another way in its joints than in the others; left out" in capsys.readouterr().out
     assert [episode["source_episode"] for episode in records(dropped)] == [1]
+    assert result(dropped)["strays"] == {"episodes": [0], "left_out": True}
+    known = json.loads((dropped / "meta/cei.json").read_text())["provenance"]["options"]
+    assert known["strays"] == {"episodes": [0], "left_out": True}
     alone = tmp_path / "alone"
     assert converted(folder, alone, "--verify", "--drop_strays", "--episodes=0") == 1
-    assert "every episode goes another way than the one that was chosen; leave out --drop_strays." in complaint()
+    assert (
+        "no episode is left: episode 0 would be left out for going another way than the others; leave out --drop_strays."
+        in complaint()
+    )
     assert not alone.exists()
 
 
@@ -516,7 +522,7 @@ def test_episodes_that_fail_alike_are_corrected_alike(
     root = tmp_path / "target"
     assert converted(folder, root, "--refine", "--refine.perturbed=2") == 0
     printed = capsys.readouterr().out
-    assert "All episodes are corrected alike where that holds better: " in printed
+    assert "All episodes are corrected alike where that holds no worse: " in printed
     assert "plain 0/2, verified 2/2 (2 retried)" in printed
     found = {episode["verified"]["how"] for episode in records(root)}
     assert len(found) == 1 and {episode["verified"]["attempts"] for episode in records(root)} == {2}
@@ -529,8 +535,8 @@ def test_episodes_that_fail_alike_are_corrected_alike(
     [
         (["--refine.robust=0.5"], "--refine.robust is of no use without --refine."),
         (["--refine", "--refine.robust=1.5"], "refine.robust=1.5 must be over 0, and at most 1."),
-        (["--refine", "--refine.perturbed=0"], "refine.perturbed=0 must be at least 1."),
-        (["--refine", "--refine.population=1"], "refine.population=1 must be at least 2."),
+        (["--refine", "--refine.perturbed=0"], "--refine.perturbed=0 should be at least 1."),
+        (["--refine", "--refine.population=1"], "--refine.population=1 should be at least 2."),
     ],
 )
 def test_bad_options_of_refinement(

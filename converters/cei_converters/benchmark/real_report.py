@@ -47,7 +47,7 @@ def _about_policies(found: Found) -> str:
     first = next(iter(found.policies.values()))
     varied = f", which vary {first['variation']:g} times as much as people's" if first["variation"] != 1 else ""
     return (
-        f"{first['demonstrations']} demonstrations of the source{varied}, converted for the target; a policy (DP3) that is trained on them acts on the "
+        f"{first['demonstrations']} demonstrations of the source{varied}, converted for the target, less those that go another way in the joints than the others; a policy (DP3) that is trained on them acts on the "
         "target, on clouds as it was trained on. Beside it the source's own policy, of its own demonstrations, on the source, on clouds as cameras see "
         f"them. {len(first['successes'])} trials each, seeds from {first['trials']['first_seed']} on. The ratio is the target's success by the source's."
     )

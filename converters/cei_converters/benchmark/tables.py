@@ -105,6 +105,7 @@ def markdown(found: Found) -> str:
             "exceptions / ours with the hands' stock physics / the paper's. Averages are over the cells that are finished.",
             _summary(found),
             *(part for task in tasks_of(found) for part in (f"## {task}", _grid(found, task))),
+            *_perturbed(found),
             "## Ablation: ours / the paper's",
             _ablation(found),
             "## Sensitivity to the representation: ours / the paper's",
@@ -131,6 +132,31 @@ def _grid(found: Found, task: str) -> str:
         cells = [Cell(task, f"{arm}-{end_effector}") for arm in ARMS]
         rows.append([end_effector, *(_three(found.get(cell), figures[cell]) for cell in cells)])
     return _table(["", *ARMS], rows)
+
+
+def _perturbed(found: Found) -> list[str]:
+    """Which share of perturbed replays succeeds, where they were asked for."""
+    held = {cell: result["replay"]["perturbed"] for cell, result in found.items() if result["replay"].get("perturbed")}
+    if not held:
+        return []
+    rows = []
+    for task in dict.fromkeys(cell.task for cell in held):
+        cells = [entry.cell for entry in targets_of(task) if entry.cell in held]
+        share = mean(100 * held[cell]["share"] for cell in cells)
+        rows.append(
+            [
+                task,
+                f"{len(cells)} of 16",
+                shown(share),
+                shown(min((100 * held[cell]["share"] for cell in cells), default=None)),
+            ]
+        )
+    count = next(iter(held.values()))["replays"]
+    return [
+        "## Slightly otherwise",
+        f"Percent of {count} replays of each demonstration that succeed with objects, friction and joints a little otherwise (`cei-replay --perturb`).",
+        _table(["", "cells", "average", "least"], rows),
+    ]
 
 
 def _three(result: Mapping[str, Any] | None, paper: float | None) -> str:

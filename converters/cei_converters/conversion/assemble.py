@@ -64,6 +64,8 @@ def _with_choices(
     options = provenance.options | {"basins": plain(transfer.basins)}
     if summary.verified is not None and "verify" in options:
         options["verify"] = options["verify"] | {"dropped": summary.verified["dropped"]}
+    if summary.strays is not None:
+        options["strays"] = summary.strays
     if correction is not None:
         options["refine"] = options["refine"] | {"common": plain(correction)}
     if summary.judged is not None:

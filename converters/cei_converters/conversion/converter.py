@@ -181,7 +181,7 @@ class Converter:
             return None
         begin(options.generations)
         with one_thread():
-            read = [self._read(i) for i in spread(len(self.selected), FIT_EPISODES)]
+            read = [self._read(i, quickly=True) for i in spread(len(self.selected), FIT_EPISODES)]
             demonstrations = [each.demonstration for each in read if each.inside]
             verifier.common = verifier.search_common(demonstrations, done)
         return verifier.common

@@ -42,17 +42,19 @@ class Summary:
         verified: what replaying showed (`summarise`), if it was asked for.
         judged: which are dropped or flagged for their quality (`Gate.judge`), if it was asked for.
         augmented: how many were made and left out (`count`), if objects are moved.
+        strays: which go another way than the others, if any do, and whether they are left out.
     """
 
     entries: list[dict[str, Any]]
     verified: dict[str, Any] | None = None
     judged: dict[str, list[int]] | None = None
     augmented: dict[str, Any] | None = None
+    strays: dict[str, Any] | None = None
 
     @property
     def choices(self) -> dict[str, Any]:
-        """The last three, where they were asked for, by the names they have in the result."""
-        found = {"verify": self.verified, "gate": self.judged, "augment": self.augmented}
+        """The last four, where they were asked for, by the names they have in the result."""
+        found = {"verify": self.verified, "gate": self.judged, "augment": self.augmented, "strays": self.strays}
         return {name: value for name, value in found.items() if value is not None}
 
 
@@ -83,7 +85,7 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
     _print_rows(rows, title)
     _print_faults(rows)
     _print_tools(rows)
-    _print_strays(rows, plan.config.drop_strays)
+    strays = _strays(rows, plan.config.drop_strays)
     verified = judged = augmented = None
     if verdicts:
         verified = summarise(verdicts)
@@ -96,7 +98,7 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
         augmented = count(left_out)
         print(f"Augmentation: {counted(augmented)}.")
         check_left(augmented)
-    return Summary(entries, verified, judged, augmented)
+    return Summary(entries, verified, judged, augmented, strays)
 
 
 def _print_rows(rows: list[dict[str, Any]], title: str) -> None:
@@ -123,23 +125,28 @@ def _print_tools(rows: list[dict[str, Any]]) -> None:
         )
 
 
-def _print_strays(rows: list[dict[str, Any]], dropped: bool) -> None:
-    """A line on episodes that go another way than the others, if any do.
+def _strays(rows: list[dict[str, Any]], dropped: bool) -> dict[str, Any] | None:
+    """Episodes that go another way than the others, which a line tells of; None if none does.
 
     Raises:
-        CEIError: all do, and none is kept.
+        CEIError: without them none is left.
     """
-    strays = [row["episode"] for row in rows if row.get(_STRAYS)]
-    if not strays:
-        return
-    if dropped and len(strays) == len(rows):
-        raise CEIError("every episode goes another way than the one that was chosen; leave out --drop_strays.")
+    episodes = list(dict.fromkeys(row["episode"] for row in rows if row.get(_STRAYS)))
+    if not episodes:
+        return None
+    if dropped and all(row["left_out"] for row in rows):
+        raise CEIError(
+            f"no episode is left: {spans(episodes, 'episode')} would be left out for going another way than the others; leave out --drop_strays."
+        )
     what = (
         "left out, as asked for"
         if dropped
-        else "--drop_strays leaves them out, as policies learn from what is done alike"
+        else "--drop_strays leaves out what does, as policies learn from what is done alike"
     )
-    print(f"note: in {spans(strays, 'episode')} the target goes another way in its joints than in the others; {what}.")
+    print(
+        f"note: in {spans(episodes, 'episode')} the target goes another way in its joints than in the others; {what}."
+    )
+    return {"episodes": episodes, "left_out": dropped}
 
 
 def _print_faults(rows: list[dict[str, Any]]) -> None:

@@ -45,7 +45,7 @@ def planned(
         lambda done: progress.advance(task, done),
     )
     if correction is not None:
-        print(f"All episodes are corrected alike where that holds better: {correction}.")
+        print(f"All episodes are corrected alike where that holds no worse: {correction}.")
     provenance = provenance_of(config, converter, content())
     frames = [converter.reader.frames(index) for index in converter.selected]
     plan = Plan(absolutely, provenance, converter.transfer.finalists, frames, correction)

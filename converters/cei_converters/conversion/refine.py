@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields
 
+from cei_converters.cli.options import check_range
 from cei_gym.errors import CEIError
 
 
@@ -29,8 +30,7 @@ class RefineOptions:
 
     def __post_init__(self) -> None:
         for name, least in (("perturbed", 1), ("replays", 1), ("population", 2), ("generations", 0), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise CEIError(f"refine.{name}={getattr(self, name)} must be at least {least}.")
+            check_range(f"--refine.{name}", getattr(self, name), least)
         if not 0 < self.robust <= 1:
             raise CEIError(f"refine.robust={self.robust} must be over 0, and at most 1.")
         others = [field.name for field in fields(self) if getattr(self, field.name) != field.default]

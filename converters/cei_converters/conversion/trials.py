@@ -12,10 +12,8 @@ if TYPE_CHECKING:
     from cei_converters.simulation.stage import Stage
     from cei_gym.alignment import AlignmentReport
 
-_JUDGED, _CONFIRMED = (
-    1000,
-    2000,
-)  # numbers of perturbations: reports (`cei-replay --perturb`) have those from 0 on, which nothing is chosen by
+# Numbers of perturbations. Those that reports have (`cei-replay --perturb`) begin at 0: nothing is chosen by them.
+_JUDGED, _CONFIRMED = 1000, 2000
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ class Verifier:
         refine: see there.
 
     Attributes:
-        common: the correction that all episodes have where it holds better than none; what is searched is around it.
+        common: the correction that all episodes have where it holds no worse than none; what is searched is around it.
     """
 
     def __init__(

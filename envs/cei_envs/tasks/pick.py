@@ -6,17 +6,17 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cei_envs.tasks.cube import TABLE_Z_M
-from cei_envs.tasks.objects import ObjectsEnv, names_of
+from cei_envs.tasks.lifted import LiftedEnv
+from cei_envs.tasks.objects import names_of
 from cei_envs.tasks.placed import Placed
 from cei_envs.tasks.thing import Thing
 from cei_gym.arrays import Array
 
 FRONT_X_M, PLACEMENT_M, YAW_RAD = -0.02, 0.08, np.radians(25)
-LIFTED_M, GRASPED_M = 0.05, 0.01
 ROBOSUITE = "package://robosuite/models/assets/objects/"
 
 
-class PickEnv(ObjectsEnv, ABC):
+class PickEnv(LiftedEnv, ABC):
     """Lift some thing off the table by 5 cm and hold it; the family `CEI-Pick-<Thing>-<Arm>-<EndEffector>`.
 
     A subclass says which `thing`, and is a task of its own, `Pick-<Thing>`. It lies near the middle of robosuite's table.
@@ -50,33 +50,14 @@ class PickEnv(ObjectsEnv, ABC):
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         super().__init_subclass__(**arguments)
-        cls.objects = (cls.thing.placed,)
-        cls.state_names = names_of(cls.thing.placed)
+        cls.lifted = cls.thing.placed
+        cls.objects = (cls.lifted,)
+        cls.state_names = names_of(cls.lifted)
         cls.expert_arguments = {"thing": cls.thing}
 
     def sample_state(self, rng: np.random.Generator) -> Array:
         x, y = rng.uniform(-PLACEMENT_M, PLACEMENT_M, 2) + [FRONT_X_M, 0.0]
         return self.thing.at(x, y, rng.uniform(-YAW_RAD, YAW_RAD), TABLE_Z_M)
-
-    def begin(self) -> None:
-        self._start_z, self._highest = self._z_m, 0.0
-
-    def is_done(self) -> bool:
-        self._highest = max(self._highest, self._lifted_m)
-        return self._lifted_m >= LIFTED_M
-
-    def failure_reason(self) -> str:
-        if self._highest < GRASPED_M:
-            return "never grasped"
-        return "slipped" if self._lifted_m < self._highest / 2 else "too low"
-
-    @property
-    def _z_m(self) -> float:
-        return float(self.thing.placed.T_world(self.simulation)[2, 3])
-
-    @property
-    def _lifted_m(self) -> float:
-        return self._z_m - self._start_z
 
 
 class PickSphereEnv(PickEnv):

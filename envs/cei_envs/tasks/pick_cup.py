@@ -4,17 +4,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from cei_envs.tasks.objects import ObjectsEnv, names_of
+from cei_envs.tasks.lifted import LiftedEnv
+from cei_envs.tasks.objects import names_of
 from cei_envs.tasks.placed import Placed
 from cei_gym.arrays import Array
 
 CUP = Placed("cup")
 FRONT_X_M, PLACEMENT_M, YAW_RAD = -0.02, 0.08, np.radians(20)
-LIFTED_M, UPRIGHT_RAD = 0.05, np.radians(25)
-GRASPED_M = 0.01
+UPRIGHT_RAD = np.radians(25)
 
 
-class PickCupEnv(ObjectsEnv):
+class PickCupEnv(LiftedEnv):
     """Lift a cup by 5 cm and keep it upright.
 
     A hollow cup of hard plastic, 70 mm wide at its top, 52 mm at its bottom and 95 mm high, 60 g, friction 0.6, near the middle of
@@ -47,6 +47,7 @@ class PickCupEnv(ObjectsEnv):
 
     task: ClassVar[str] = "PickCup"
     task_text: ClassVar[str] = "Pick up the cup."
+    lifted: ClassVar[Placed] = CUP
     objects: ClassVar[tuple[Placed, ...]] = (CUP,)
     state_names: ClassVar[tuple[str, ...]] = names_of(*objects)
 
@@ -54,23 +55,11 @@ class PickCupEnv(ObjectsEnv):
         x, y = rng.uniform(-PLACEMENT_M, PLACEMENT_M, 2) + [FRONT_X_M, 0.0]
         return CUP.at(x, y, rng.uniform(-YAW_RAD, YAW_RAD))
 
-    def begin(self) -> None:
-        self._start_z, self._highest = CUP.T_world(self.simulation)[2, 3], 0.0
-
     def is_done(self) -> bool:
-        self._highest = max(self._highest, self._lifted_m)
-        return self._lifted_m >= LIFTED_M and self._is_upright
+        return super().is_done() and self._is_upright
 
     def failure_reason(self) -> str:
-        if not self._is_upright:
-            return "tipped"
-        if self._highest < GRASPED_M:
-            return "never grasped"
-        return "slipped" if self._lifted_m < self._highest / 2 else "too low"
-
-    @property
-    def _lifted_m(self) -> float:
-        return float(CUP.T_world(self.simulation)[2, 3] - self._start_z)
+        return super().failure_reason() if self._is_upright else "tipped"
 
     @property
     def _is_upright(self) -> bool:
