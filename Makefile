@@ -19,8 +19,8 @@ help: ## List the targets (the default)
 
 setup: $(ENVIRONMENT) ## Install everything into .venv, once (PYTHON=... picks the interpreter)
 
-$(ENVIRONMENT): requirements.lock pyproject.toml envs/pyproject.toml policies/pyproject.toml scripts/environment
-	@scripts/environment .venv --editable . --editable envs --editable policies
+$(ENVIRONMENT): requirements.lock pyproject.toml envs/pyproject.toml policies/pyproject.toml robots/pyproject.toml scripts/environment
+	@scripts/environment .venv --editable . --editable envs --editable policies --editable robots
 	@touch $@
 
 demo: setup ## Move a skill between two robots and show it: outputs/demo/report.html
@@ -61,6 +61,7 @@ build: setup ## Build the wheels and sdists of all distributions into dist/
 	@$(PYTHON_ENV) -m build --quiet --no-isolation --outdir dist .
 	@$(PYTHON_ENV) -m build --quiet --no-isolation --outdir dist envs
 	@$(PYTHON_ENV) -m build --quiet --no-isolation --outdir dist policies
+	@$(PYTHON_ENV) -m build --quiet --no-isolation --outdir dist robots
 	@ls dist/*
 
 benchmark: setup ## Run every benchmark (hours, and 40 GB of disk)

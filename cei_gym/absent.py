@@ -16,6 +16,7 @@ TASKS = (
     *("PushCube", "PlaceBird", "PressButton", "PickCup", "PackageBread", "InsertFlower"),
     *("Pick-Sphere", "Pick-Cylinder", "Pick-LyingCylinder", "Pick-ThinBox", "Pick-Plate", "Pick-Mug", "Pick-Hammer"),
     *("Pick-Can", "Pick-Lemon", "Pick-Nut"),
+    *("Lift", "Stack", "PickPlaceCan", "NutAssemblySquare", "Door"),
 )
 """The tasks of `cei_envs`."""
 

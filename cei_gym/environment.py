@@ -86,6 +86,43 @@ class RobotEnvironment(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Restored:
+    """An episode that a simulator stored, as an environment of the same task has it.
+
+    Attributes:
+        environment_state: (T, k) as `state_names` of the environment names it.
+        T_world_base: (4, 4) pose of the base of the robot that was recorded.
+        surface_z_m: height in the world of what objects start on.
+    """
+
+    environment_state: Array
+    T_world_base: Array
+    surface_z_m: float
+
+
+class Restores(Protocol):
+    """An environment's class that takes up what the simulator under it stored, so that a converted file replays in the very task it came from.
+
+    Attributes:
+        state_names: as of `RobotEnvironment`.
+    """
+
+    state_names: tuple[str, ...]
+
+    def restore(self, mjcf: str, states: Array) -> Restored:
+        """An episode as stored.
+
+        Args:
+            mjcf: the model, as MJCF; a stranger's.
+            states: (T, 1 + nq + nv) time, positions and speeds.
+
+        Raises:
+            CEIError: it is of another scene, or has not all of it.
+        """
+        ...
+
+
 _NEEDED = ("embodiment", "scene", "task_text", "state_names", "channels", "expert")
 
 

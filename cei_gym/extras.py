@@ -28,7 +28,7 @@ EXTRAS = {
     "lerobot": Extra(
         "LeRobot",
         (
-            *("lerobot", "av", "cv2", "datasets", "h5py", "huggingface_hub", "matplotlib", "pyarrow", "rich"),
+            *("lerobot", "av", "cv2", "datasets", "h5py", "huggingface_hub", "jinja2", "matplotlib", "pyarrow", "rich"),
             *("threadpoolctl", "zarr"),
         ),
     ),

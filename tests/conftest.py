@@ -22,11 +22,14 @@ SLOW = {
     "test_robot_show": 60,
     "test_lerobot_scripts": 60,
     "test_signals": 60,
+    "test_robosuite_tasks": 60,
     "test_pick": 60,
     "test_augmentation": 54,
     "test_embodiment": 53,
     "test_policy_benchmark": 50,
     "test_alignment": 46,
+    "test_evidence": 45,
+    "test_report": 45,
     "test_own_package": 43,
     "test_benchmarks": 40,
     "test_demo": 40,
@@ -105,6 +108,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 @pytest.fixture(scope="module", autouse=True)
 def _memory_is_given_back() -> Iterator[None]:
     """A worker that has run many modules holds what the last one needs: glibc keeps what was freed, half a gigabyte and more."""
+    gc.freeze()  # what has been imported stays: each environment that robosuite closes looks through everything, a second where all is loaded
     yield
     gc.collect()
     with contextlib.suppress(OSError, AttributeError):  # no glibc

@@ -21,14 +21,17 @@ PACKAGES = {
     "cei_converters": ROOT / "converters/cei_converters",
     "lerobot_env_cei": ROOT / "envs/lerobot_env_cei",
     "lerobot_policy_dp3": ROOT / "policies/lerobot_policy_dp3",
+    "lerobot_robot_cei": ROOT / "robots/lerobot_robot_cei",
 }
 FORBIDDEN = {
     "cei_gym": {"robosuite", "lerobot", "datasets", "cei_envs", "cei_converters"},
     "cei_envs": {"lerobot", "datasets", "torch", "cei_converters"},
-    "cei_converters": {"robosuite", "mujoco", "lerobot_env_cei", "lerobot_policy_dp3"},
+    "cei_converters": {"robosuite", "mujoco", "lerobot_env_cei", "lerobot_policy_dp3", "lerobot_robot_cei"},
     "lerobot_env_cei": {"robosuite", "mujoco", "lerobot_policy_dp3"},
     # of use to anybody who has point clouds in LeRobot datasets
-    "lerobot_policy_dp3": {"cei_gym", "cei_envs", "cei_converters", "lerobot_env_cei"},
+    "lerobot_policy_dp3": {"cei_gym", "cei_envs", "cei_converters", "lerobot_env_cei", "lerobot_robot_cei"},
+    # a robot's computer has no simulator
+    "lerobot_robot_cei": {"robosuite", "mujoco", "cei_envs", "lerobot_env_cei", "lerobot_policy_dp3"},
 }
 # Only solvers that are asked for by name need torch: everything else works without.
 TORCH = {
@@ -102,7 +105,7 @@ LAYERS = {
         *("errors", "arrays", "compiled", "extras", "plugins", "untrusted", "untrusted_xml", "absent", "channels"),
         *("displacement", "demonstration"),
         *("embodiment", "rendering", "environment", "kinematics", "functional", "pointcloud", "alignment"),
-        *("augmentation", "transfer", "impersonation", "wrapper", "onboarding"),
+        *("augmentation", "transfer", "twin", "impersonation", "wrapper", "onboarding"),
     ],
     "cei_gym.onboarding": [
         *(
@@ -138,7 +141,11 @@ LAYERS = {
             "includes",
         ),
         *("assets", "meshes", "mjcf", "urdf", "compiling", "description", "embodiment", "joining", "building"),
-        *("catalogue", "identity"),
+        *("catalogue", "identity", "drives"),
+    ],
+    "cei_gym.twin": [
+        *("options", "evidence", "shape", "hold", "seen", "complete", "fit", "hulls"),
+        *("couplings", "robot", "scene", "play", "twin"),
     ],
     "cei_gym.alignment": [
         *("registry", "options", "kernels", "grip", "manual", "problem", "links", "contact", "solvers", "judge"),
@@ -159,6 +166,8 @@ LAYERS = {
             "ordered_map",
             "agreement",
             "refine",
+            "reach",
+            "evidence",
             "verdict",
             "search",
             "trials",
@@ -166,7 +175,6 @@ LAYERS = {
             "verify",
             "augment",
             "gate",
-            "reach",
             "survey",
             "episode",
             "steps",
@@ -190,7 +198,7 @@ LAYERS = {
         *("writing", "outcomes", "preloaded", "assemble"),
     ],
     "cei_envs": [
-        *("gripper", "picture", "viewpoints", "registration", "rollout", "servos", "rules", "simulation", "mounted"),
+        *("gripper", "picture", "viewpoints", "registration", "rollout", "rules", "simulation", "mounted"),
         *(
             "stand_in",
             "self_contact",
@@ -209,6 +217,7 @@ LAYERS = {
         *(
             "clouds",
             "averaging",
+            "optimizer",
             "encoder",
             "fast_reader",
             "configuration_dp3",
@@ -218,6 +227,7 @@ LAYERS = {
         ),
         "original",
     ],
+    "lerobot_robot_cei": ["trained_on", "joints", "config_cei", "cei", "clouds", "deploy"],
 }
 """The rooms of every package, each above those that it may know."""
 

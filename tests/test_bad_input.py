@@ -336,7 +336,7 @@ def test_interrupt_leaves_nothing(main: Callable, root: Path, tmp_path: Path, mo
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cei_gym.transfer.Transfer.__call__", interrupt)
+    monkeypatch.setattr("cei_gym.transfer.Transfer.aligned", interrupt)
     before = sorted(tmp_path.rglob("*"))
     args = [
         "--dataset.repo_id=me/pick",

@@ -130,6 +130,17 @@ def test_first_frame(tmp_path: Path) -> None:
     assert figure.seeds == (0, 1)
 
 
+def test_twin(tmp_path: Path) -> None:
+    printed = run("twin.py", tmp_path, "--things=Cube", "--targets=IIWA-Inspire", "--seeds=3")
+    rows = json.loads((tmp_path / "results/twin.json").read_text())["rows"]
+    assert [(row["depth"], row["seed"], row["way"]) for row in rows] == [
+        *(("clean", 3, "plain"), ("clean", 3, "off"), ("kinect", 503, "plain"), ("kinect", 503, "off"))
+    ]
+    assert rows[0]["truth"] and rows[0]["answer"] == "holds"
+    assert f"| all | 4 | {sum(not row['truth'] for row in rows)} |" in printed
+    assert depends_on(tmp_path, "twin.json").seeds == (3, 503)
+
+
 def test_a_blind_control_has_its_folders_seeds(tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
     Manifest(tmp_path / "results", [Figure(("a.json",), "cei-benchmark replay", seeds=(3, 5))]).write()

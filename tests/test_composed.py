@@ -3,6 +3,7 @@
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import mujoco
@@ -15,7 +16,7 @@ from PIL import Image
 import cei_gym
 from cei_converters import convert, record, replay
 from cei_converters.simulation.environment import open_environment
-from cei_envs.composing import joint_names
+from cei_envs.composing import joint_names, scene_without_robot
 from cei_envs.environment import CEIEnv
 from cei_envs.simulate import mountable
 from cei_envs.simulation import CONTROL_HZ
@@ -418,3 +419,20 @@ def test_a_strangers_arm_and_hand_pick_the_cube(
     monkeypatch.setenv("CEI_GYM_EMBODIMENTS", str(robots))
     result = converted(recorded, tmp_path / "new", "OwnXArm7-Allegro", "--verify")
     assert result["verify"]["plain_successes"] == 2
+
+
+def test_a_scene_is_its_own_whatever_was_loaded_since() -> None:
+    """MuJoCo saves as XML what was loaded last in the process: another thread's environment stood in the place of one's own."""
+    env = gym.make("CEI-PickCube-Panda-PandaGripper", clouds=False)
+
+    def make(**arguments: Any) -> Any:
+        made = env.unwrapped.make_robosuite(**arguments)
+        mujoco.MjModel.from_xml_string(
+            "<mujoco><worldbody><body name='theirs'><geom size='1'/></body></worldbody></mujoco>"
+        )
+        return made
+
+    scene, _ = scene_without_robot(make)
+    names = {body.name for body in scene.bodies}
+    assert "cube_main" in names and "theirs" not in names
+    env.close()

@@ -20,11 +20,13 @@ from cei_converters.cli import option_types
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.inspection.command import InspectConfig
 from cei_converters.pads import PadsConfig
+from cei_converters.report.command import ReportConfig
 from cei_converters.robot.check import CheckConfig
 from cei_converters.robot.listing import ListConfig
 from cei_converters.robot.new import NewConfig
 from cei_converters.robot.show import ShowConfig
 from cei_converters.view.command import ViewConfig
+from lerobot_robot_cei.deploy import DeployConfig
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / name for name in documents.documents(ROOT)]
@@ -40,6 +42,8 @@ OPTIONS = {
         "cei-record": record.RecordConfig,
         "cei-replay": replay.ReplayConfig,
         "cei-inspect": InspectConfig,
+        "cei-report": ReportConfig,
+        "cei-deploy": DeployConfig,
         "cei-restore": restore.RestoreConfig,
         "cei-pads": PadsConfig,
         "cei-view": ViewConfig,
@@ -101,7 +105,7 @@ def test_options_that_documents_explain_exist() -> None:
     groups = {option.partition(".")[0] for option in ours if "." in option} - {"dataset", "source"}
     count = 0
     for path in DOCUMENTS:
-        for option, all_of_it in re.findall(r"`--([a-z_]+(?:\.[a-z_]+)*)(\.\*)?", path.read_text()):
+        for option, all_of_it in re.findall(r"`--([a-z0-9_]+(?:\.[a-z0-9_]+)*)(\.\*)?", path.read_text()):
             if option.partition(".")[0] in groups:
                 count += 1
                 known = any(each.startswith(f"{option}.") for each in ours) if all_of_it else option in ours

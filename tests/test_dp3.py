@@ -126,6 +126,22 @@ def test_it_learns_a_constant_and_its_average_acts():
     torch.testing.assert_close(policy.select_action(observation), action, atol=0.1, rtol=0)
 
 
+def test_its_optimizer_steps_as_adamw_does():
+    torch.manual_seed(2)
+    ours, theirs = nn.Linear(5, 4), nn.Linear(5, 4)
+    theirs.load_state_dict(ours.state_dict())
+    start = ours.weight.detach().clone()
+    preset = config(optimizer_weight_decay=0.1).get_optimizer_preset()
+    plain = torch.optim.AdamW(theirs.parameters(), preset.lr, preset.betas, preset.eps, preset.weight_decay)
+    for net, optimizer in ((ours, preset.build(ours.parameters())), (theirs, plain)):
+        for step in range(20):
+            optimizer.zero_grad()
+            net(torch.full((3, 5), 0.1 * step)).square().sum().backward()
+            optimizer.step()
+    torch.testing.assert_close(ours.weight, theirs.weight, rtol=1e-5, atol=1e-7)
+    assert (ours.weight - start).abs().max() > 1e-4
+
+
 def test_the_average_follows_the_weights_as_in_dp3():
     """DP3's `EMAModel` asks for the decay of a step before it counts it, which starts the average one step later than diffusers'
     of today: steps 0 and 1 copy, step 2 decays by 1 - 2 ** -0.75."""
@@ -189,6 +205,8 @@ def test_actions_are_executed_from_now_on_and_then_predicted_anew():
     policy.reset()
     twice = {key: torch.stack([value, value], dim=1) for key, value in first.items()}
     torch.testing.assert_close(policy.predict_action_chunk(twice, noise)[:, 0], policy.select_action(first, noise))
+    policy.reset()
+    torch.testing.assert_close(policy.predict_action_chunk(first, noise), policy.predict_action_chunk(twice, noise))
 
 
 def test_only_the_state_and_the_clouds_first_points_count():

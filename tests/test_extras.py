@@ -30,7 +30,7 @@ PACKAGES = {
     "cei_envs": "envs/cei_envs",
     "lerobot_env_cei": "envs/lerobot_env_cei",
 }
-OURS = {*PACKAGES, "lerobot_policy_dp3"}
+OURS = {*PACKAGES, "lerobot_policy_dp3", "lerobot_robot_cei"}
 DISTRIBUTIONS = packages_distributions() | {"rerun": ["rerun-sdk"]}  # which lies in a folder of its own
 WITHOUT = """
 import importlib.metadata, sys

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from cei_converters import convert, pads, record, replay, restore, view
+from cei_converters import convert, pads, record, replay, report, restore, view
 from cei_converters.benchmark import command
 from cei_converters.benchmark.anchors import AnchorsConfig
 from cei_converters.benchmark.modes import ModesConfig
@@ -14,6 +14,7 @@ from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.inspection import command as inspecting
+from cei_converters.report.command import ReportConfig
 from cei_converters.view.command import ViewConfig
 
 COMMANDS = {
@@ -21,6 +22,7 @@ COMMANDS = {
     "record": (record.main, ["--help"], record.RecordConfig),
     "replay": (replay.main, ["--help"], replay.ReplayConfig),
     "inspect": (inspecting.main, ["--help"], inspecting.InspectConfig),
+    "report": (report.main, ["--help"], ReportConfig),
     "restore": (restore.main, ["--help"], restore.RestoreConfig),
     "pads": (pads.main, ["--help"], pads.PadsConfig),
     "view": (view.main, ["--help"], ViewConfig),

@@ -17,17 +17,29 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cei_converters import convert, pads, record, replay, view
+from cei_converters import convert, pads, record, replay, report, view
 from cei_converters.benchmark import command as benchmark
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
 from cei_converters.benchmark.real import RealBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
 from cei_converters.cli import option_types
-from cei_converters.cli.outputs import ASKED_PICTURE, JOINT_MAP, JSON, PICTURE, RECORDING, VIDEO, Kind, Output, Outputs
+from cei_converters.cli.outputs import (
+    ASKED_PICTURE,
+    JOINT_MAP,
+    JSON,
+    PAGE,
+    PICTURE,
+    RECORDING,
+    VIDEO,
+    Kind,
+    Output,
+    Outputs,
+)
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.dataset.place import HiddenFolder, check_place, tidy
 from cei_converters.dataset.writer import DatasetWriter
 from cei_converters.inspection import command as inspecting
+from cei_converters.report.command import ReportConfig
 from cei_converters.view.command import ViewConfig
 from cei_gym.errors import CEIError
 
@@ -77,6 +89,7 @@ COMMANDS: dict[str, tuple[Main, Callable[[Path], list[str]], type]] = {
     "replay": (replay.main, dataset, replay.ReplayConfig),
     "inspect": (inspecting.main, lambda source: [*dataset(source), f"--source={ROBOT}"], inspecting.InspectConfig),
     "pads": (pads.main, lambda _: ["--end_effector=PandaGripper", "--output=pads.png"], pads.PadsConfig),
+    "report": (report.main, lambda source: [*dataset(source), "--output=report.html"], ReportConfig),
     "view": (view.main, lambda source: [*dataset(source), "--sheet=view.png"], ViewConfig),
 }
 """Name to entry point, options that it works with, and what has its options."""
@@ -86,6 +99,7 @@ FILES: dict[tuple[str, str], Kind] = {
     ("replay", "video"): VIDEO,
     ("inspect", "save_map"): JOINT_MAP,
     ("pads", "output"): ASKED_PICTURE,
+    ("report", "output"): PAGE,
     ("view", "rrd"): RECORDING,
     ("view", "sheet"): PICTURE,
 }
@@ -99,6 +113,7 @@ NOT_WRITTEN = {
         "joint_map",
         "calibration",
         "package_path",
+        "replay",
     ),
 }
 """Options with paths that are read, or are folders of datasets."""
@@ -107,6 +122,7 @@ LIKE = {
     "YAML file": b"a: b\n",
     "PNG picture": b"\x89PNG\r\n\x1a\n....",
     "MP4 video": b"\0\0\0\x20ftypisom",
+    "HTML page": b"<!doctype html>\n",
     "rerun recording": b"RRF2....",
 }
 

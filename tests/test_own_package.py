@@ -210,7 +210,7 @@ def test_where_a_step_has_cut_a_recording_its_worst_frame_is_still_the_sources()
     cut = whole.at(np.array([0, 0, 0, *range(FRAMES)]))
     transfer = Transfer(body, load_embodiment(TARGET), init=InitialisationOptions(starts=8, basins=1))
     made = Retarget(transfer, None, 1, False, ())(Recorded(0, 0, cut))
-    judged = Judge(Gate(), True, False)(made)
+    judged = Judge(Gate(), True, False, False)(made)
     reader = SimpleNamespace(record=lambda index: {})
     worst = Encode(reader, TARGET, PRIVILEGED_STATE, 1, True, None)(judged).outcome.worst  # pyright: ignore
     frames = made.demonstration.source_frames

@@ -25,6 +25,7 @@ from cei_gym.pointcloud import (
     first_of_voxels,
     frame_points,
     fuse_depth,
+    share_sample,
 )
 from cei_gym.pointcloud.seen import SeenPoints
 from cei_gym.rendering import look_at
@@ -301,6 +302,26 @@ def test_only_what_cameras_see_is_put_in():
         exchanged(CloudOptions(seen_only=True), ball(), Scene(np.eye(4), (), SCENE.workspace_world))
 
 
+@pytest.mark.parametrize("points", [200, 512])
+def test_a_robot_leaves_its_share_to_what_is_small(points: int):
+    cloud, whole = (exchanged(CloudOptions(points=points, robot_share=share), ball()) for share in (0.25, None))
+    assert len(np.unique(cloud, axis=0)) == points
+    assert on_ball(cloud).mean() == 0.75 > 3 * on_ball(whole).mean()
+    assert on_ball(cloud[: points // 2]).mean() == 0.75  # the first are a cloud themselves
+    spread = farthest_point_sample(ball(), int(0.75 * points)).astype(float)
+    np.testing.assert_array_equal(cloud[on_ball(cloud)], spread)
+
+
+def test_a_share_that_others_cannot_fill_goes_to_the_robot():
+    cloud = exchanged(CloudOptions(points=512, robot_share=0.25), ball(points=60))
+    assert on_ball(cloud).sum() == 60
+    assert len(np.unique(cloud, axis=0)) == 512
+    nothing, other = np.zeros((0, 3)), ball(points=8)
+    assert share_sample(nothing, nothing, 0.5, 4).tolist() == [[0, 0, 0]] * 4
+    for others, robot in ((other, nothing), (nothing, other)):
+        assert on_ball(share_sample(others, robot, 0.5, 12).astype(float)).all()
+
+
 def test_voxels_thin_before_thinning():
     cloud = exchanged(CloudOptions(points=4096, voxel_m=0.05), ball())
     distinct = np.unique(cloud, axis=0)
@@ -346,6 +367,7 @@ def test_crop_keeps_the_box(points):
         (lambda: SurfaceSampler([None], 3), "mesh"),
         (lambda: SurfaceSampler([trimesh.creation.box()], 3)(np.eye(4)), "1 links"),
         (lambda: farthest_point_sample(np.full((2, 3), np.nan)), "finite"),
+        (lambda: CloudOptions(robot_share=1.0), r"clouds\.robot_share=1\.0 must be between 0 and 1, or null"),
         (lambda: CloudOptions(points=0), r"clouds\.points=0"),
         (lambda: CloudOptions(tau_m=float("nan")), r"clouds\.tau_m=nan"),
         (lambda: CloudOptions(voxel_m=-1), r"clouds\.voxel_m=-1"),

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -20,11 +21,12 @@ from malformed import CALIBRATION, write_dataset, write_hand
 from other_formats import write_zarr
 from PIL import Image
 
+import cei_gym
 from cei_converters import convert, record
 from cei_converters.conversion import shard
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.dataset.metadata import Metadata, plain
-from cei_converters.dataset.provenance import command_line, fingerprint, published
+from cei_converters.dataset.provenance import command_line, fingerprint, git_commit, published
 from cei_gym.embodiment import fingerprint as identity
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
@@ -438,3 +440,28 @@ def test_a_command_that_is_published_is_the_one_that_makes_the_dataset() -> None
     assert prog == "cei-convert"
     same: Any = parse(ConvertConfig, again, "cei-convert", "")
     assert plain(same) == plain(config) | {"workers": None}
+
+
+def test_a_commit_is_dirty_where_code_has_changed_not_where_figures_have(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def git(*args: str) -> str:
+        who = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
+        return subprocess.run(["git", "-C", tmp_path, *who, *args], check=True, capture_output=True, text=True).stdout
+
+    code, figures = tmp_path / "cei_gym/__init__.py", tmp_path / "results/replay/replay.json"
+    for path in (code, figures):
+        path.parent.mkdir(parents=True)
+        path.write_text("1")
+    monkeypatch.setattr(cei_gym, "__file__", str(code))
+    git("init")
+    assert git_commit() is None  # not in it yet
+    git("add", ".")
+    git("commit", "-m", "all")
+    head = git("rev-parse", "HEAD").strip()
+    assert git_commit() == head
+    figures.write_text("2")
+    (tmp_path / "outputs.json").write_text("")
+    assert git_commit() == head
+    code.write_text("2")
+    assert git_commit() == f"{head}-dirty"

@@ -127,7 +127,7 @@ CONVERTING = POLICIES | REPLAYS | {"augmentation", "scale", "transfer"}
         ("converters/cei_converters/conversion/steps.py", CONVERTING),
         ("cei_gym/wrapper.py", POLICIES | {"observation", "impersonation"}),
         ("cei_gym/augmentation.py", {"anchors_replay", "anchors_policy", "augmentation"}),
-        ("cei_gym/errors.py", CONVERTING | {"direction_weight", "impersonation"}),
+        ("cei_gym/errors.py", CONVERTING | {"direction_weight", "impersonation", "twin"}),
         ("converters/cei_converters/cli/table.py", set()),
     ],
 )

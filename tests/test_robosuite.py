@@ -150,7 +150,8 @@ def test_rewards_and_instructions_are_carried(tmp_path: Path) -> None:
     np.testing.assert_allclose(carried.columns["next.reward"], reward, atol=1e-6)
     np.testing.assert_array_equal(carried.columns["next.done"], done)
     assert source.read(0).task == "lift the cube"
-    assert source.dropped == {"states": "the simulator's, the source robot in it"}
+    reason = "the simulator's, the source robot in it, and without model_file nobody knows what is where"
+    assert source.dropped == {"states": reason}
 
 
 # the table

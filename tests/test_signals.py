@@ -59,6 +59,7 @@ def options(name: str, source: Path) -> list[str]:
         "cei-pads": ["--end_effector=Inspire", "--output=a/p.png", "--points=20000"],
         "cei-robot": ["new", "package://robosuite/models/assets/grippers/rethink_gripper.xml", "--output=a"],
         "cei-view": [*dataset, "--rrd=a/v.rrd", "--sheet=v.png"],
+        "cei-report": [*dataset, "--output=a/r.html", "--films", "--json=r.json"],
         "cei-restore": ["--dataset.repo_id=me/x", "--dataset.root=../edited", f"--original={source}", "--json=r.json"],
         "cei-benchmark": [
             "replay",

@@ -19,6 +19,7 @@ from cei_converters import pads, record, replay, restore
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.dataset import legacy
 from cei_converters.inspection.command import InspectConfig
+from cei_converters.report.command import ReportConfig
 from cei_converters.sources import formats
 from cei_converters.view.command import ViewConfig
 from cei_envs.registration import OWN as TASKS
@@ -26,17 +27,20 @@ from cei_gym.alignment import SolverOptions
 from cei_gym.alignment.registry import OWN as SOLVERS
 from cei_gym.embodiment import ARMS, END_EFFECTORS
 from cei_gym.errors import CEIError
+from lerobot_robot_cei.deploy import DeployConfig
 
 ROOT = Path(__file__).parents[1]
 WEBSITE = ROOT / "scripts/website"
 CONFIG = ROOT / "mkdocs.yml"
-BUILT = ("cei_gym", "converters", "envs", "policies", "docs", "results", "examples", "scripts")
+BUILT = ("cei_gym", "converters", "envs", "policies", "robots", "docs", "results", "examples", "scripts")
 """Folders that the site is made from."""
 CONFIGS = {
     "cei-convert": ConvertConfig,
     "cei-record": record.RecordConfig,
     "cei-replay": replay.ReplayConfig,
     "cei-inspect": InspectConfig,
+    "cei-report": ReportConfig,
+    "cei-deploy": DeployConfig,
     "cei-restore": restore.RestoreConfig,
     "cei-pads": pads.PadsConfig,
     "cei-view": ViewConfig,
@@ -83,7 +87,9 @@ def test_the_navigation_names_every_document() -> None:
 
 
 def test_the_table_of_commands_is_that_of_the_project() -> None:
-    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
+    scripts = {}
+    for folder in (".", "robots"):
+        scripts |= tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]["scripts"]
     text, ((_, *rows),) = (ROOT / "docs/commands.md").read_text(), tables("docs/commands.md")
     listed = {re.findall(r"`([\w-]+)`", command)[0]: what for command, what in rows}
     assert listed.keys() == scripts.keys()
@@ -148,7 +154,12 @@ def test_the_pictures_are_what_their_script_makes(website: None, tmp_path: Path)
 
 
 def test_distributions_do_not_have_it() -> None:
-    for path in (ROOT / "pyproject.toml", ROOT / "envs/pyproject.toml", ROOT / "policies/pyproject.toml"):
+    for path in (
+        ROOT / "pyproject.toml",
+        ROOT / "envs/pyproject.toml",
+        ROOT / "policies/pyproject.toml",
+        ROOT / "robots/pyproject.toml",
+    ):
         build = tomllib.loads(path.read_text())["tool"]["hatch"]["build"]["targets"]
         for target in build.values():
             for folder in (*target.get("include", ()), *target.get("packages", ())):

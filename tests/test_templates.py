@@ -11,7 +11,8 @@ import yaml
 ROOT = Path(__file__).parents[1]
 FORMS = sorted(path for path in (ROOT / ".github/ISSUE_TEMPLATE").glob("*.yml") if path.name != "config.yml")
 PROJECTS = [
-    tomllib.loads((ROOT / name / "pyproject.toml").read_text())["project"] for name in (".", "envs", "policies")
+    tomllib.loads((ROOT / name / "pyproject.toml").read_text())["project"]
+    for name in (".", "envs", "policies", "robots")
 ]
 
 

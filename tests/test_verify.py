@@ -16,6 +16,7 @@ from cei_converters import convert, replay
 from cei_converters.conversion.refine import RefineOptions
 from cei_converters.conversion.verdict import Verdict, sentence, summarise
 from cei_converters.conversion.verify import Verifier, VerifyOptions
+from cei_converters.dataset.corrections import Corrected
 from cei_converters.simulation.perturbation import Perturbation
 from cei_converters.simulation.stage import Stage
 from cei_converters.sources.reader import DatasetReader
@@ -502,10 +503,30 @@ def test_a_refined_dataset_says_what_was_found(
     assert second["how"].startswith("corrected (")
     assert second["plain_held"] == pytest.approx(1 / 3)
     assert result(root)["verify"]["how"] == {"plain": 1, "corrected": 1}
+    _is_corrected(root, 1, second, plain[1], transfer)
+    assert "corrected" not in first
     card = (root / "README.md").read_text()
     assert "67% of the plain transfer and 100% of what is kept hold" in card
     options = json.loads((root / "meta/cei.json").read_text())["provenance"]["options"]
     assert options["refine"]["perturbed"] == 2
+
+
+def _is_corrected(root: Path, index: int, verdict: dict, recorded: Demonstration, transfer: Transfer) -> None:
+    """Whether a record has the correction that made its episode, and the joints without it of a frame in which the object is held."""
+    corrected = Corrected.of({"verified": verdict}, 10**6, len(transfer.target.joint_names), "it")
+    assert corrected is not None
+    assert verdict["how"] == f"corrected ({corrected.correction})"
+    stored = DatasetReader("me/target", root).read(index, clouds=False)
+    again, _ = transfer(recorded, attempt=Attempt(correction=corrected.correction), clouds=False)
+    np.testing.assert_allclose(stored.qpos, again.qpos, atol=1e-6)
+    plain, _ = transfer(recorded, clouds=False)
+    frames = records(root)[index].get("source_frames", range(len(stored)))
+    shown = plain.source_frames if plain.source_frames is not None else np.arange(len(plain))
+    qpos = plain.qpos[np.flatnonzero(shown == frames[corrected.frame])]
+    assert np.abs(qpos - corrected.plain_qpos).max(axis=1).min() < 1e-6
+    assert np.abs(stored.qpos[corrected.frame] - corrected.plain_qpos).max() > 1e-3
+    lift = stored.environment_state[:, 2] if stored.environment_state is not None else np.zeros(0)
+    assert lift[corrected.frame] > lift[0] + 0.005  # it is in the air
 
 
 def test_episodes_that_fail_alike_are_corrected_alike(

@@ -10,7 +10,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-FILES = ("pyproject.toml", "envs/pyproject.toml", "policies/pyproject.toml", "CITATION.cff", "CHANGELOG.md")
+FILES = (
+    "pyproject.toml",
+    "envs/pyproject.toml",
+    "policies/pyproject.toml",
+    "robots/pyproject.toml",
+    "CITATION.cff",
+    "CHANGELOG.md",
+)
 
 
 def check(root: Path, *tag: str) -> tuple[int, list[str]]:

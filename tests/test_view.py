@@ -272,6 +272,48 @@ def test_bad_input_gives_one_line_and_leaves_nothing(
     assert (sorted(tmp_path.rglob("*")), (job / "view.rrd").read_bytes()) == before
 
 
+def corrected(root: Path, frame: int, qpos: np.ndarray) -> None:
+    """Have a dataset's first episode say that it is corrected."""
+    (first, *others), path = Records(root), root / RECORDS_PATH
+    figures = {"correction": {"closing_m": 0.006}, "frame": frame, "plain_qpos": qpos.tolist()}
+    first["verified"] = {"corrected": figures, "plain_held": 0.25, "held": 1.0}
+    path.write_text("".join(json.dumps(record) + "\n" for record in [first, *others]))
+
+
+def test_a_correction_is_shown_without_and_with_it(
+    job: Path, episodes, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    root = shutil.copytree(job / "target", tmp_path / "target")
+    _, after, _ = episodes
+    frame, body = len(after) // 2, load_embodiment(TARGET)
+    without = after.qpos[frame].copy()
+    without[0] += 0.05
+    corrected(root, frame, without)
+    files = [f"--rrd={tmp_path / 'c.rrd'}", f"--sheet={tmp_path / 'c.png'}", f"--json={tmp_path / 'c.json'}"]
+    assert cei_view.main([*dataset(root), *beside(job / "source"), *files]) == 0
+    said = "corrected: closing 6 mm; of replays slightly otherwise held 25% without, 100% with it"
+    assert said in capsys.readouterr().out
+    assert json.loads((tmp_path / "c.json").read_text())["correction"] == said
+    found = read_chunks(tmp_path / "c.rrd")
+    (words,) = columns(found, "/correction/words", static=True)["text"]
+    assert words == [f"Frame {frame}: {said}."]
+    pads = {
+        role: np.array(columns(found, f"/correction/{role}/points", static=True)["positions"][0])
+        for role in ("source", "uncorrected", "target")
+    }
+    T = link_poses(body, after.scene.T_world_base, np.array([without, after.qpos[frame]]))
+    whose = load_view(DatasetReader("me/target", root), 0).sides[0].representation
+    for role, pose in zip(("uncorrected", "target"), T, strict=True):
+        np.testing.assert_allclose(pads[role], whose.place(pose[None])[0][0], atol=1e-5)
+    moves = columns(found, "/correction/moves", static=True)
+    np.testing.assert_allclose(moves["vectors"][0], pads["target"] - pads["uncorrected"], atol=1e-5)
+    assert 0.01 < np.linalg.norm(moves["vectors"][0], axis=1).mean() < 0.1
+    plain, more = (np.asarray(Image.open(path).convert("RGB")) for path in (job / "view.png", tmp_path / "c.png"))
+    assert more.shape[0] > plain.shape[0] + 300
+    amber = [((picture == (235, 150, 0)).all(axis=2)).sum() for picture in (plain, more)]
+    assert amber[0] == 0 and amber[1] > 200
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

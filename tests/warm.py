@@ -15,9 +15,14 @@ import tempfile
 from pathlib import Path
 
 SCRIPTS = {
-    f"lerobot-{name}": f"lerobot.scripts.lerobot_{name.replace('-', '_')}" for name in ("train", "eval", "edit-dataset")
+    f"lerobot-{name}": f"lerobot.scripts.lerobot_{name.replace('-', '_')}"
+    for name in ("train", "eval", "edit-dataset", "rollout")
 }
 """Name to module, whose `main` it calls."""
+
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+"""Where the simulated robot is, which `lerobot-rollout` is told to import."""
 
 
 def script(name: str, *options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -35,12 +40,13 @@ def script(name: str, *options: str, cwd: Path) -> subprocess.CompletedProcess[s
 
 @functools.cache
 def _server() -> subprocess.Popen[str]:
+    path = os.pathsep.join([str(EXAMPLES), *filter(None, [os.environ.get("PYTHONPATH")])])
     server = subprocess.Popen(
         [sys.executable, __file__],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        env=os.environ | {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"},
+        env=os.environ | {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1", "PYTHONPATH": path},
     )
     atexit.register(server.kill)
     return server

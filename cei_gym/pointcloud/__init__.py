@@ -6,7 +6,7 @@ from cei_gym.pointcloud.mask import RobotMask
 from cei_gym.pointcloud.options import CloudOptions
 from cei_gym.pointcloud.sample import SurfaceSampler
 from cei_gym.pointcloud.synthesise import CloudSynthesiser
-from cei_gym.pointcloud.thin import farthest_point_sample, first_of_voxels
+from cei_gym.pointcloud.thin import farthest_point_sample, first_of_voxels, share_sample
 
 __all__ = [
     "CloudOptions",
@@ -18,4 +18,5 @@ __all__ = [
     "first_of_voxels",
     "frame_points",
     "fuse_depth",
+    "share_sample",
 ]

@@ -15,6 +15,9 @@ class CloudOptions:
         swap: put the target in the place of the source; False keeps clouds as cameras see them (the paper's ablation without
             augmentation).
         points: of a cloud (the paper's 1024).
+        robot_share: at most this share of a cloud shows the robot that is put in, where there are enough other points: its joints say
+            where it is, nothing else says where a small object is. null thins all points alike, as the paper does: of 1024, a hand and
+            its arm then take some 800.
         robot_points: sampled over the whole surface of the robot that is put in; of those that lie in the workspace, at most twice
             `points` are drawn for thinning.
         tau_m: points within this distance of the surface of the robot that is taken out are removed (the paper's 5 mm).
@@ -28,6 +31,7 @@ class CloudOptions:
 
     swap: bool = True
     points: int = 1024
+    robot_share: float | None = None
     robot_points: int = 16384
     tau_m: float = 0.005
     voxel_m: float = 0.0
@@ -42,6 +46,8 @@ class CloudOptions:
                 raise CEIError(f"clouds.{name}={getattr(self, name)} must be at least 1.")
             if getattr(self, name) > _MOST_POINTS:
                 raise CEIError(f"clouds.{name}={getattr(self, name)} must be at most {_MOST_POINTS}.")
+        if self.robot_share is not None and not 0 < self.robot_share < 1:
+            raise CEIError(f"clouds.robot_share={self.robot_share} must be between 0 and 1, or null.")
         if self.seed < 0:
             raise CEIError(f"clouds.seed={self.seed} must be at least 0.")
         if not 0 < self.tau_m < float("inf"):

@@ -14,7 +14,7 @@ from cei_gym.pointcloud.mask import RobotMask
 from cei_gym.pointcloud.options import CloudOptions
 from cei_gym.pointcloud.sample import SurfaceSampler
 from cei_gym.pointcloud.seen import SeenPoints
-from cei_gym.pointcloud.thin import farthest_point_sample, first_of_voxels
+from cei_gym.pointcloud.thin import farthest_point_sample, first_of_voxels, share_sample
 
 _CANDIDATES = (
     2  # a point: more spread hardly better (mean distance to the cloud 5.0 mm, with four 4.8), and thin slower
@@ -99,9 +99,12 @@ class CloudSynthesiser:
             robot, which = robot[seen], which[seen]
         if points_world.shape[1] == 6:
             robot = np.concatenate([robot, self._sample.colours[which]], axis=1)
-        points = np.concatenate([points_world, robot])
+        points, others = np.concatenate([points_world, robot]), len(points_world)
         if o.voxel_m:
-            points = points[first_of_voxels(points, o.voxel_m)]
+            kept = first_of_voxels(points, o.voxel_m)
+            points, others = points[kept], int((kept < others).sum())
+        if o.robot_share is not None:
+            return share_sample(points[:others], points[others:], o.robot_share, o.points, o.seed)
         return farthest_point_sample(points, o.points, o.seed)
 
     def _cropped(self, points_world: Array, scene: Scene) -> Array:

@@ -37,6 +37,26 @@ def farthest_point_sample(points: Array, n: int = 1024, seed: int = 0) -> Array:
     return np.concatenate([spread, spread[random.integers(kept, size=n - kept)]])
 
 
+def share_sample(others: Array, robot: Array, share: float, n: int = 1024, seed: int = 0) -> Array:
+    """Farthest points of two kinds, thinned apart, so that a large robot leaves points for small objects.
+
+    Args:
+        others: (N, 3 or 6) points that are no robot's, m.
+        robot: (M, 3 or 6) points of the robot, m.
+        share: of n that is the robot's at most, unless there are too few others to fill the rest.
+        n: how many to keep.
+        seed: see `farthest_point_sample`.
+
+    Returns:
+        (n, 3 or 6) float32, in turns by their shares: the first so many are as well spread, and shared alike, as all.
+    """
+    of_robot = min(max(round(share * n), n - len(others)), len(robot)) if len(others) else n
+    parts = [(robot, of_robot), (others, n - of_robot)]
+    turns = np.concatenate([(np.arange(count) + 0.5) / max(count, 1) for _, count in parts])
+    both = np.concatenate([farthest_point_sample(points, count, seed) for points, count in parts])
+    return both[np.argsort(turns, kind="stable")]
+
+
 def first_of_voxels(points: Array, voxel_m: float) -> Array:
     """Indices (M,), rising, of the first point in each cell of a grid through the origin.
 

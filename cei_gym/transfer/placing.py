@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from cmaes import CMA
 
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
@@ -96,6 +95,8 @@ class _Search:
     """
 
     def __init__(self, judging: Judging, seed: int) -> None:
+        from cmaes import CMA  # a second, of scipy.stats, and few conversions search for a place
+
         self._judging = judging
         self.scored: list[tuple[float, float, float]] = []
         self._places: list[tuple[Array, float, float]] = []

@@ -43,6 +43,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
 
     Returns:
         The result: source, target, under `results` one entry an episode, under `verify` what replaying showed, if asked for,
+        under `evidence` what twins of the recordings say, if asked for,
         and under `gate` which episodes are dropped or flagged for their quality, if asked for. Episodes that are dropped are in
         the last two only. `--json` has `residuals`, too: frame by frame how far pads are apart.
 

@@ -1,11 +1,11 @@
 """`make demo`: record demonstrations on a Panda, convert them to an IIWA with an Inspire hand, replay both, write a report."""
 
-import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from cei_converters.cli import DatasetConfig, SourceConfig, run
+from cei_converters.cli import DatasetConfig, run
 from cei_converters.cli.options import check_range
 from cei_gym.errors import CEIError
 
@@ -31,13 +31,17 @@ class DemoConfig:
 
 def commands(config: DemoConfig) -> list[str]:
     """What does the same by hand."""
+    target = "--dataset.repo_id=me/pick_cube_iiwa --dataset.root=data/pick_cube_iiwa"
+    source = "--source.repo_id=me/pick_cube_panda --source.root=data/pick_cube_panda"
     return [
         f"cei-record --env=CEI-PickCube-{SOURCE} --episodes={config.episodes} --seed={config.seed} \\\n"
         "    --repo_id=me/pick_cube_panda --root=data/pick_cube_panda",
         f"cei-convert --dataset.repo_id=me/pick_cube_panda --dataset.root=data/pick_cube_panda --target={TARGET} \\\n"
         "    --new_repo_id=me/pick_cube_iiwa --new_root=data/pick_cube_iiwa",
-        "cei-replay --dataset.repo_id=me/pick_cube_iiwa --dataset.root=data/pick_cube_iiwa \\\n"
-        "    --source.repo_id=me/pick_cube_panda --source.root=data/pick_cube_panda",
+        f"cei-replay {source.replace('source', 'dataset')} --json=replay_of_source.json",
+        f"cei-replay {target} --json=replay.json",
+        f"cei-report {target} \\\n    {source} \\\n"
+        "    --replay=replay_of_source.json:replay.json --films --output=report.html",
     ]
 
 
@@ -51,8 +55,8 @@ def demo(config: DemoConfig) -> None:
     from cei_converters.convert import convert
     from cei_converters.record import RecordConfig, record
     from cei_converters.replay import ReplayConfig, replay
-    from cei_converters.report import write_report
-    from cei_converters.sources.reader import DatasetReader
+    from cei_converters.report.command import ReportConfig, report
+    from cei_converters.view.command import MappedSourceConfig
 
     folder = config.output
     if folder.exists() and not (folder / _MARK).is_file():
@@ -62,20 +66,22 @@ def demo(config: DemoConfig) -> None:
     (folder / _MARK).touch()
     source = DatasetConfig("me/pick_cube_panda", folder / "pick_cube_panda")
     target = DatasetConfig("me/pick_cube_iiwa", folder / "pick_cube_iiwa")
-    print(f"1/4 recording {config.episodes} demonstrations of {SOURCE}")
+    print(f"1/5 recording {config.episodes} demonstrations of {SOURCE}")
     record(RecordConfig(f"CEI-PickCube-{SOURCE}", source.repo_id, source.root, config.episodes, config.seed))
-    print(f"2/4 converting them for {TARGET}")
-    result = folder / "conversion.json"
-    convert(ConvertConfig(source, TARGET, target.repo_id, target.root, json=result))
-    print("3/4 replaying the source")
-    replays = [replay(ReplayConfig(source, video_episodes=0))]
-    print("4/4 replaying the target")
-    beside = SourceConfig(source.repo_id, source.root)
-    replays.append(replay(ReplayConfig(target, beside, video=folder / "side_by_side.mp4")))
-    first, second = (DatasetReader(dataset.repo_id, dataset.root).read(0) for dataset in (source, target))
-    report = folder / "report.html"
-    write_report(report, replays, json.loads(result.read_text()), (first, second), commands(config))
-    print(f"\nOpen {report}: {replays[1]['successes']} of {config.episodes} transferred demonstrations lift the cube.")
+    print(f"2/5 converting them for {TARGET}")
+    convert(ConvertConfig(source, TARGET, target.repo_id, target.root, json=folder / "conversion.json"))
+    replays = [folder / "replay_of_source.json", folder / "replay.json"]
+    found: list[dict[str, Any]] = []
+    for i, (name, dataset, json) in enumerate(zip(("source", "target"), (source, target), replays, strict=True)):
+        print(f"{3 + i}/5 replaying the {name}")
+        found.append(replay(ReplayConfig(dataset, video_episodes=0, json=json)))
+    print("5/5 reporting")
+    beside = MappedSourceConfig(source.repo_id, source.root)
+    page = ReportConfig(target, folder / "report.html", beside, replays, films=True, json=folder / "report.json")
+    report(page, commands(config))
+    print(
+        f"\nOpen {page.output}: {found[1]['successes']} of {config.episodes} transferred demonstrations lift the cube."
+    )
 
 
 def main(args: list[str] | None = None) -> int:

@@ -15,6 +15,7 @@ from cei_gym.errors import CEIError
 if TYPE_CHECKING:
     from cei_converters.cli.outputs import Output, Outputs
     from cei_converters.sources.reader import DatasetReader
+    from cei_converters.sources.source import Source
 
 EXAMPLE = """example:
   cei-replay --dataset.repo_id=me/pick_iiwa --dataset.root=data/pick_iiwa
@@ -66,11 +67,11 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
     reader = DatasetReader(config.dataset.repo_id, config.dataset.root)
     selected = reader.select(parse_episodes(config.episodes))
     with contextlib.ExitStack() as stack:
-        stage = stack.enter_context(_stage_of(reader, config.env, config.stock_physics))
+        stage = stack.enter_context(stage_of(reader, config.env, config.stock_physics))
         beside = None
         if config.source.repo_id is not None:
             source = DatasetReader(config.source.repo_id, config.source.root)
-            beside = source, stack.enter_context(_stage_of(source))
+            beside = source, stack.enter_context(stage_of(source))
         results, films = [], []
         progress = stack.enter_context(progress_bar("episodes"))
         task = progress.add_task(f"replaying {reader.embodiment.name}", total=len(selected) * (1 + config.perturb))
@@ -86,7 +87,7 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
                     progress.advance(task)
             results.append(entry)
             if filmed:
-                films.append(_film(reader, beside, entry, pictures))
+                films.append(film_beside(reader, beside, entry, pictures))
     result = {
         "repo_id": reader.repo_id,
         "env": stage.env_id,
@@ -108,23 +109,40 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
     return result
 
 
-def _stage_of(reader: "DatasetReader", env_id: str | None = None, stock_physics: bool = False) -> Stage:
-    """The environment that a dataset names, or another."""
-    recorded = reader.metadata.environment if reader.metadata is not None else None
-    kwargs = recorded.kwargs if recorded is not None and env_id is None else {}
-    env_id = env_id or (recorded.id if recorded is not None else None)
+def stage_of(reader: "Source", env_id: str | None = None, stock_physics: bool = False) -> Stage:
+    """The environment that a dataset names, or another.
+
+    Args:
+        reader: of the dataset.
+        env_id: the other one.
+        stock_physics: without the embodiment's physics exceptions.
+
+    Raises:
+        CEIError: it names none, or there is none of that name.
+    """
+    kwargs = reader.environment.kwargs if env_id is None else {}
+    env_id = env_id or reader.environment.id
     if env_id is None:
         raise CEIError(f"{reader.repo_id} does not say which environment it replays in; name it with --env.")
     return Stage(env_id, **(kwargs | {"stock_physics": True} if stock_physics else kwargs))
 
 
-def _film(
+def film_beside(
     reader: "DatasetReader",
-    beside: "tuple[DatasetReader, Stage] | None",
+    beside: "tuple[Source, Stage] | None",
     entry: dict[str, Any],
     pictures: list[Array],
-):
-    """Views and their labels: the source, where it is known, then the replayed episode."""
+) -> tuple[list[list[Array]], list[str]]:
+    """Views and their labels: the source, where it is known, then the replayed episode.
+
+    Args:
+        reader: of the dataset.
+        beside: of its source, and that one's environment.
+        entry, pictures: what `Stage.play` gave of the episode.
+
+    Raises:
+        CEIError: the source has no such episode, or it is not of the environment's robot.
+    """
     views, labels = [pictures], [_label(reader, entry)]
     if beside is not None:
         source, stage = beside
@@ -135,7 +153,7 @@ def _film(
     return views, labels
 
 
-def _label(reader: "DatasetReader", entry: dict[str, Any]) -> str:
+def _label(reader: "Source", entry: dict[str, Any]) -> str:
     verdict = "success" if entry["success"] else entry["failure"]
     return f"{reader.embodiment.name}, episode {entry['episode']}: {verdict}"
 

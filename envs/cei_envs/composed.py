@@ -8,10 +8,10 @@ import numpy as np
 
 from cei_envs.composing import FORCE, PREFIX, TORQUE, compose, joint_names, scene_without_robot
 from cei_envs.rules import of_composed
-from cei_envs.servos import drives
 from cei_envs.simulation import CONTROL_HZ, Simulation
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
+from cei_gym.embodiment.drives import drives
 from cei_gym.errors import CEIError
 
 

@@ -5,18 +5,20 @@ each independent joint, followers held by equality constraints, its weight borne
 """
 
 from collections.abc import Callable
+from threading import Lock
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from cei_envs.self_contact import touching_geoms
-from cei_envs.servos import drives
 from cei_envs.simulation import pose_of
 from cei_envs.stand_in import CEIStandIn
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment, describe
+from cei_gym.embodiment.drives import drives
 from cei_gym.embodiment.names import END_EFFECTOR_PREFIX
+from cei_gym.errors import CEIError
 
 PREFIX = "robot/"
 """Of the names of all that is the robot's."""
@@ -24,6 +26,8 @@ FORCE, TORQUE = f"{PREFIX}force", f"{PREFIX}torque"
 """Sensors between arm and end-effector."""
 
 _OF_THE_STAND_IN = ("robot0_", "left_eef_target", "right_eef_target")
+_SAVING = Lock()
+_TRIES = 10
 _PEDESTAL_HALF_M = 0.1
 _EQUALITY_STIFFNESS_S = 0.004
 
@@ -41,7 +45,7 @@ def scene_without_robot(make: Callable[..., Any]) -> tuple[mujoco.MjSpec, Array]
         has_offscreen_renderer=False,
         ignore_done=True,
     )
-    spec = mujoco.MjSpec.from_string(env.sim.model.get_xml())
+    spec = _scene(env)
     T_world_base = pose_of(env.sim.data._data, env.robots[0].robot_model.root_body)
     env.close()
     for body in [body for body in spec.worldbody.bodies if body.name.startswith(_OF_THE_STAND_IN)]:
@@ -50,6 +54,22 @@ def scene_without_robot(make: Callable[..., Any]) -> tuple[mujoco.MjSpec, Array]
     for mesh in [mesh for mesh in spec.meshes if mesh.name not in used]:
         spec.delete(mesh)
     return spec, T_world_base
+
+
+def _scene(env: Any) -> mujoco.MjSpec:
+    """The model of a robosuite environment, to be changed. MuJoCo saves what was loaded last in the process, be it by another thread: so it is loaded
+    anew, and looked at."""
+    xml = env.model.get_xml()
+    for process in env._xml_processors:
+        xml = process(xml)
+    wanted = {*env.sim.model.body_names}
+    for _ in range(_TRIES):
+        with _SAVING:
+            mujoco.MjModel.from_xml_string(xml)
+            spec = mujoco.MjSpec.from_string(env.sim.model.get_xml())
+        if {body.name for body in spec.bodies} == wanted:
+            return spec
+    raise CEIError("other threads load models all the time; make environments one after the other.")
 
 
 def compose(scene: mujoco.MjSpec, embodiment: Embodiment, T_world_base: Array) -> mujoco.MjModel:
@@ -97,19 +117,7 @@ def joint_names(embodiment: Embodiment) -> list[str]:
 def _drive(scene: mujoco.MjSpec, embodiment: Embodiment) -> None:
     names, coupled = joint_names(embodiment), embodiment.coupled
     for drive in drives(embodiment):
-        name = names[drive.q]
-        scene.joint(name).armature = drive.armature
-        scene.add_actuator(
-            name=name,
-            target=name,
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            gainprm=[drive.kp, *[0.0] * 9],
-            biasprm=[0.0, -drive.kp, -drive.kv, *[0.0] * 7],
-            forcelimited=drive.limit > 0,
-            forcerange=[-drive.limit, drive.limit],
-        )
+        drive.add_to(scene, names[drive.q])
     for q, (leader, scale, offset) in enumerate(zip(coupled.leader, coupled.scale, coupled.offset, strict=True)):
         if q in coupled.independent:
             continue

@@ -73,6 +73,19 @@ OWN = (
         Task(f"Pick-{thing}", f"cei_envs.tasks.pick:Pick{thing}Env", _of_grippers("pick:PickExpert"))
         for thing in _THINGS
     ),
+    Task("Lift", "cei_envs.tasks.lift:LiftEnv", {_GRIPPER: "cei_envs.experts.pick_cube:PickCubeExpert"}),
+    Task("Stack", "cei_envs.tasks.stack:StackEnv", {_GRIPPER: "cei_envs.experts.stack_cube:StackCubeExpert"}),
+    Task(
+        "PickPlaceCan",
+        "cei_envs.tasks.pick_place_can:PickPlaceCanEnv",
+        _of_grippers("pick_place_can:PickPlaceCanExpert"),
+    ),
+    Task(
+        "NutAssemblySquare",
+        "cei_envs.tasks.nut_assembly_square:NutAssemblySquareEnv",
+        _of_grippers("nut_assembly_square:NutAssemblySquareExpert"),
+    ),
+    Task("Door", "cei_envs.tasks.door:DoorEnv", _of_grippers("door:DoorExpert")),
 )
 
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Sequence
 
-from cei_envs.servos import Drive
 from cei_gym.arrays import Array
 from cei_gym.embodiment import ArmSpec, Embodiment, EndEffectorSpec, PhysicsException
+from cei_gym.embodiment.drives import Drive
 from cei_gym.environment import Physics, PhysicsRule
 
 OF_THE_BODY = ("mount", "geom_mass")

@@ -1,14 +1,18 @@
 """Options of the 3D Diffusion Policy; by default those of its paper and of ours (section V-A)."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
-from lerobot.optim import AdamWConfig, DiffuserSchedulerConfig
+from lerobot.optim import DiffuserSchedulerConfig
 from lerobot.utils.constants import OBS_STATE
 
 from lerobot_policy_dp3.clouds import CHANNELS, Bounds, layout_of
+from lerobot_policy_dp3.optimizer import FusedAdamWConfig
+
+_UNIT = re.compile(r"\.pos_(rad|m)$")
 
 
 class Size(NamedTuple):
@@ -56,6 +60,7 @@ class DP3Config(PreTrainedConfig):
             They are the ones that act.
         min_range: joints that move less in the data, rad or m, are normalised as if they moved so much: what never moves in a
             dataset does move a little on a robot.
+        action_feature_names: the dataset's, joint by joint, as LeRobot's robots name them (`<joint>.pos`); LeRobot fills it in.
         optimizer_lr, optimizer_betas, optimizer_eps, optimizer_weight_decay, scheduler_warmup_steps: of AdamW, whose rate falls
             by a cosine.
     """
@@ -97,6 +102,8 @@ class DP3Config(PreTrainedConfig):
 
     min_range: float = 0.1
 
+    action_feature_names: list[str] | None = None
+
     optimizer_lr: float = 1e-4
     optimizer_betas: tuple[float, float] = (0.95, 0.999)
     optimizer_eps: float = 1e-8
@@ -131,6 +138,8 @@ class DP3Config(PreTrainedConfig):
         Raises:
             ValueError: they are flat and nothing says their shape, or they are not what the policy was trained on.
         """
+        if self.action_feature_names:
+            self.action_feature_names = [_UNIT.sub(".pos", name) for name in self.action_feature_names]
         feature = features.get(self.cloud_key)
         if feature is None or len(feature["shape"]) != 1:
             return
@@ -185,9 +194,9 @@ class DP3Config(PreTrainedConfig):
         if self.points is not None and not 1 <= self.points <= points:
             raise ValueError(f"policy.points={self.points}, but the cloud has {points}.")
 
-    def get_optimizer_preset(self) -> AdamWConfig:
+    def get_optimizer_preset(self) -> FusedAdamWConfig:
         """AdamW as in DP3."""
-        return AdamWConfig(
+        return FusedAdamWConfig(
             lr=self.optimizer_lr,
             betas=self.optimizer_betas,
             eps=self.optimizer_eps,

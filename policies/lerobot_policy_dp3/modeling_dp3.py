@@ -78,11 +78,15 @@ class DP3Policy(PreTrainedPolicy):
         """(B, n_action_steps, n) normalised actions from the last observations, or from a batch of windows.
 
         Args:
-            batch: normalised observations; used only where `select_action` has not collected any.
+            batch: normalised observations; used only where `select_action` has not collected any. Single ones (B, ...), as LeRobot's
+                server gives them, stand for those before, too.
             noise: (B, horizon, n) what the diffusion starts from; random if None.
         """
         if all(self._queues[key] for key in (OBS_STATE, self.config.cloud_key)):
             batch = {key: torch.stack(list(queue), dim=1) for key, queue in self._queues.items() if key != ACTION}
+        elif batch[OBS_STATE].ndim == 2:
+            alone = {key: batch[key] for key in (OBS_STATE, self.config.cloud_key)}
+            batch = {key: torch.stack([value] * self.config.n_obs_steps, dim=1) for key, value in alone.items()}
         return self._acting.generate_actions(batch, noise=noise)
 
     @torch.no_grad()

@@ -34,7 +34,8 @@ def with_help(markdown: str) -> str:
     marks = [(found[0], [found[1], *found[2].split(), "--help"]) for found in MARK.finditer(markdown)]
     if not marks:
         return markdown
-    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
+    projects = [tomllib.loads((ROOT / part / "pyproject.toml").read_text())["project"] for part in (".", "robots")]
+    scripts = projects[0]["scripts"] | projects[1]["scripts"]
     said = _ask([[*scripts[words[0]].split(":"), *words] for _, words in marks])
     for (_, words), text in zip(marks, said, strict=True):
         if not text.startswith(f"usage: {words[0]}"):
@@ -45,7 +46,7 @@ def with_help(markdown: str) -> str:
 
 def _ask(calls: list[list[str]]) -> list[str]:
     """What commands print: each a module, a function of it, and the words of its command line; none need be installed."""
-    paths = [str(ROOT), *(str(ROOT / part) for part in ("converters", "envs", "policies"))]
+    paths = [str(ROOT), *(str(ROOT / part) for part in ("converters", "envs", "policies", "robots"))]
     environment = os.environ | {"COLUMNS": str(WIDTH), "NO_COLOR": "1", "PYTHONPATH": os.pathsep.join(paths)}
     done = subprocess.run(
         [sys.executable, "-c", _ASK],

@@ -8,7 +8,7 @@ import griffe
 from shared_entries import SharedEntries
 
 PAGES = "docs/api"
-SEARCHED = (".", "converters", "envs", "policies")
+SEARCHED = (".", "converters", "envs", "policies", "robots")
 """Where packages are, in a checkout."""
 
 

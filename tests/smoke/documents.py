@@ -28,6 +28,7 @@ SMALLER = [
     (r"--batch_size=(128|64)\b", "--batch_size=4"),
     (r"--steps=100000", "--steps=2 --save_freq=2 --num_workers=0 --log_freq=1"),
     (r"--policy\.type=dp3", "--policy.type=dp3 --policy.size=small --policy.points=64 --policy.device=cpu"),
+    (r"--duration=5", "--duration=1"),
     (r"--eval\.n_episodes=20 --eval\.batch_size=2", "--eval.n_episodes=1 --eval.batch_size=1 --policy.device=cpu"),
     (r"--env\.type=cei", "--env.type=cei --env.episode_length=10"),
     (r"(direction_weight\.py)", r"\1 UR5e-RobotiqThreeFinger --demonstrations=1"),
@@ -41,7 +42,7 @@ ELSEWHERE = {
     r"source \.venv/bin/activate": "the environment is another here",
     r"pip install .*": "the wheels are installed",
     r"uv pip install .*": "optional: what a benchmark compares with",
-    r"python benchmarks/(alignment|census|first_frame|observation|start_up)\.py": "minutes; tests/test_benchmarks.py runs it smaller",
+    r"python benchmarks/(alignment|census|first_frame|observation|start_up|twin)\.py.*": "minutes; tests/test_benchmarks.py runs it smaller",
     r"python benchmarks/camera\.py": "compares with MuJoCo's renderer, which needs a GL library",
     r"python benchmarks/scale\.py.*": "minutes however small; it records and converts by benchmarks/transfer.py, which is run",
     r"cei-robot show .*": "serves until it is ended; tests/test_robot_show.py opens it in a browser",
@@ -50,6 +51,7 @@ ELSEWHERE = {
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-benchmark (anchors|modes)( --stage=replay)?": "hours; tests/test_anchors_and_modes.py runs them smaller",
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-benchmark replay --tasks=.*": "an hour; tests/test_benchmark_command.py runs it smaller",
     r"cei-record .* --seed=100 .*": "for what follows it; README.md records others",
+    r"cei-(convert|replay) .*--dataset\.repo_id=(lab|me)/lift .*": "needs a file of robosuite's; tests/test_robosuite_tasks.py makes one",
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-convert .*--target=XArm7-ShadowHand .*": "needs ../shared/robots; tests/test_target_pose_auto.py runs another",
     r"CEI_GYM_PACKAGE_PATH=\S+ python benchmarks/pads\.py": "needs ../shared/robots; a picture",
     r"cei-benchmark replay (--tables=main|--seed=1000 --results=\S+)": "an hour; tests/test_benchmark_command.py runs it smaller",
@@ -85,6 +87,7 @@ EXAMPLES = {
     "07_train_and_evaluate.sh": ["out", "2", "2", "1"],
     "08_humanoid_to_arm.sh": ["{shared}/datasets/gr1_pick_n_place_v2.0"],
     "09_real_clouds.sh": ["{shared}/datasets/demogen_egg.zarr"],
+    "11_policy_on_a_robot.sh": ["out", "2", "2", "1"],
     "10_so101_to_panda.sh": ["{shared}/datasets/so101_pick_v3.0", "{shared}/robots/so101"],
 }
 """Shell scripts, and what they are given. The examples in Python are run by tests/test_examples.py."""
@@ -155,7 +158,7 @@ def smaller(command: str) -> str:
 
 def made_by(command: str) -> list[str]:
     """Files and folders that a command makes; not those that it changes in place."""
-    made = re.findall(r"--(?:new_root|output_dir|save_map|output|sheet|rrd|video|json)=(\S+)", command)
+    made = re.findall(r"--(?:new_root|new_policy|output_dir|save_map|output|sheet|rrd|video|json)=(\S+)", command)
     return [path for path in made if path not in re.findall(r"(?:--|\.)root=(\S+)", command)]
 
 
@@ -262,7 +265,8 @@ class Runner:
 
     def _provide(self, folder: Path, made: list[str]) -> None:
         """Copy what the README has left, but for what the document makes itself; and put the checkout's benchmarks and results there."""
-        (folder / "benchmarks").symlink_to(self.checkout / "benchmarks")
+        for given in ("benchmarks", "examples"):
+            (folder / given).symlink_to(self.checkout / given)
         shutil.copytree(self.checkout / "results", folder / "results")
         own = {(self.work / "README" / each).resolve() for each in made}
         shutil.copytree(

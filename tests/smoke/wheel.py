@@ -14,10 +14,11 @@ def main() -> None:
     import cei_gym
     import lerobot_env_cei
     import lerobot_policy_dp3
+    import lerobot_robot_cei
     from cei_gym.embodiment import GRID, load_embodiment
 
     site = Path(sys.prefix).resolve()
-    for package in (cei_gym, cei_converters, cei_envs, lerobot_env_cei, lerobot_policy_dp3):
+    for package in (cei_gym, cei_converters, cei_envs, lerobot_env_cei, lerobot_policy_dp3, lerobot_robot_cei):
         location = Path(package.__file__).resolve()
         assert location.is_relative_to(site), f"{package.__name__} comes from {location}, not from its wheel"
     print(f"imports: cei-gym {distribution('cei-gym').version}")

@@ -86,6 +86,9 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "benchmarks/training.py": (*_POLICY, *_CONVERSION[-4:], "benchmarks/training.py"),
     "benchmarks/transfer.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/transfer.py"),
+    "benchmarks/twin.py": (
+        *(*_METHOD, *_RECORDED, "converters/cei_converters/conversion/evidence.py", "benchmarks/twin.py"),
+    ),
 }
 """What is measured, by what a command starts with, `python` left out."""
 

@@ -44,10 +44,13 @@ class Training:
 
     Attributes:
         size: of the UNet: paper, simple or small.
-        points: of each cloud; null for all, as in the paper.
+        n_obs_steps: observations that an action depends on; the paper's are 2.
+        horizon: actions predicted at once; the paper's are 16.
+        points: of each cloud; null for all, as in the paper: of 256, a toy bird beside a hand and its arm has four.
         cloud_channels: of the PointNet; the paper's are 64,128,256.
-        random_points: see others of each cloud every time, so that 50 demonstrations are not learnt by heart; the paper does not.
-        state_noise: standard deviation of what is added to joints, in the normalised unit, for the same reason; the paper's is 0.
+        random_points: see others of each cloud every time, where they are not all looked at; the paper does not.
+        state_noise: standard deviation of what is added to joints, in the normalised unit, so that demonstrations are not learnt by heart; the
+            paper's is 0.
         steps: of training.
         batch_size: windows a step.
         lr: learning rate.
@@ -55,12 +58,14 @@ class Training:
     """
 
     size: str = "small"
-    points: int | None = 256
+    n_obs_steps: int = 1
+    horizon: int = 8
+    points: int | None = None
     cloud_channels: tuple[int, ...] = (32, 64, 128)
-    random_points: bool = True
-    state_noise: float = 0.3
-    steps: int = 7000
-    batch_size: int = 64
+    random_points: bool = False
+    state_noise: float = 0.1
+    steps: int = 12000
+    batch_size: int = 32
     lr: float = 1e-3
     device: str = "cpu"
 
@@ -250,6 +255,7 @@ class Stages:
             options = [
                 *(f"--dataset.repo_id={repo_id(converted)}", f"--dataset.root={converted}"),
                 *("--policy.type=dp3", f"--policy.size={t.size}", f"--policy.cloud_channels={list(t.cloud_channels)}"),
+                *(f"--policy.n_obs_steps={t.n_obs_steps}", f"--policy.horizon={t.horizon}"),
                 *([] if t.points is None else [f"--policy.points={t.points}"]),
                 *(f"--policy.random_points={str(t.random_points).lower()}", f"--policy.state_noise={t.state_noise}"),
                 *(f"--policy.optimizer_lr={t.lr}", f"--policy.device={t.device}", "--policy.push_to_hub=false"),

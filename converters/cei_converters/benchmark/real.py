@@ -80,7 +80,9 @@ def real_benchmark(config: RealBenchmarkConfig) -> None:
         if replays(config.stage):
             errors += _replay(tasks, found, config)
         if how_far:
-            cells = [cell for task in learnt for cell in (task.policy, task.own_policy) if cell not in found.policies]
+            # What the table is for comes first.
+            cells = [*(task.policy for task in learnt), *(task.own_policy for task in learnt)]
+            cells = [cell for cell in cells if cell not in found.policies]
             command = _command(replace(config, stage="policy", films=False))
             errors += run_policies(cells, stages, config.results, command, how_far, config.jobs)
         found = _finished(config, stages)

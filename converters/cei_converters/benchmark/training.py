@@ -2,8 +2,9 @@
 
 import os
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from cei_converters.benchmark.policy_stages import PolicyCell, Stages
@@ -44,22 +45,27 @@ def run_policies(
     started = Run.now((*PACKAGES, "numba", "lerobot_policy_dp3"))
     workers = jobs or (1 if stages.training.device != "cpu" else os.cpu_count() or 1)
     errors: list[str] = []
+    keeping = Lock()
 
     def one(cell: PolicyCell) -> tuple[PolicyCell, dict[str, Any] | None, str | None]:
         try:
             stages.prepare(cell, train=stage != "evaluate")
-            return cell, None if stage == "train" else stages.evaluate(cell), None
+            result = None if stage == "train" else stages.evaluate(cell)
+            if result is not None:
+                with keeping:  # at once: hours lie between, and what another cell dies of costs no other
+                    found = stages.settings(cell) | result
+                    keep_cell(folder, f"{cell.name}.json", found, command, started, stages.trials.seeds)
+            return cell, result, None
         except CEIError as error:
             return cell, None, one_line(error)
 
     with progress_bar("cells") as progress, ThreadPoolExecutor(workers) as pool:
         bar = progress.add_task("training and evaluating", total=len(cells))
-        for cell, result, error in pool.map(one, cells):
+        for done in as_completed([pool.submit(one, cell) for cell in cells]):
+            cell, result, error = done.result()
             if error is not None:
                 errors.append(f"{cell.name}: {error}")
             elif result is not None:
-                found = stages.settings(cell) | result
-                keep_cell(folder, f"{cell.name}.json", found, command, started, stages.trials.seeds)
                 line = f"{cell.name}: {sum(result['successes'])} of {len(result['successes'])}"
                 progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
             progress.advance(bar)

@@ -1,6 +1,6 @@
 """Files that commands write, by one rule.
 
-Results (JSON, joint maps, the picture of `cei-pads`) are replaced only where `--overwrite` says so. Other pictures, videos and recordings can
+Results (JSON, joint maps, the picture of `cei-pads`, pages) are replaced only where `--overwrite` says so. Other pictures, videos and recordings can
 be made again, so they are replaced; but only by their like: whatever is there that is no plain file of that kind, nothing replaces. Folders are made where they are
 missing. No file goes into a dataset's folder. A file appears whole or not at all, and what was there before stays until then.
 """
@@ -50,6 +50,7 @@ PICTURE = Kind("PNG picture", (".png",), (b"\x89PNG\r\n\x1a\n",), made_again=Tru
 ASKED_PICTURE = replace(PICTURE, made_again=False)
 """One that is all that a command is asked for, so that it is a result."""
 VIDEO = Kind("MP4 video", (".mp4",), (b"ftyp",), at=4, made_again=True)
+PAGE = Kind("HTML page", (".html", ".htm"), (b"<!doctype html", b"<!DOCTYPE html"))
 RECORDING = Kind("rerun recording", (".rrd",), (b"RRF", b"RRIO"), made_again=True)
 
 

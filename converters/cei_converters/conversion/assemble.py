@@ -68,6 +68,8 @@ def _with_choices(
         options["strays"] = summary.strays
     if correction is not None:
         options["refine"] = options["refine"] | {"common": plain(correction)}
+    if summary.evidence is not None and summary.evidence["dropped"]:
+        options["evidence"] = options["evidence"] | {"dropped": summary.evidence["dropped"]}
     if summary.judged is not None:
         options["gate"] = summary.judged
     return replace(provenance, pads=pads, options=options)

@@ -6,6 +6,7 @@ from pathlib import Path
 from cei_converters.cli import DatasetConfig
 from cei_converters.cli.options import check_of_use, check_overwrite, check_range, parse_episodes, parse_pose
 from cei_converters.conversion.augment import AugmentOptions
+from cei_converters.conversion.evidence import EvidenceOptions
 from cei_converters.conversion.executors import NAMES as EXECUTORS
 from cei_converters.conversion.executors import SlurmOptions, check_executor
 from cei_converters.conversion.gate import Gate
@@ -65,6 +66,7 @@ class ConvertConfig:
     augment: AugmentOptions = field(default_factory=AugmentOptions)  # Objects elsewhere, with --augment.grid.
     verify: VerifyOptions = field(default_factory=VerifyOptions)  # Replay and retry, with --verify.
     refine: RefineOptions = field(default_factory=RefineOptions)  # Search how to take hold by rollouts, with --refine.
+    evidence: EvidenceOptions = field(default_factory=EvidenceOptions)  # Ask a twin of the recording, with --evidence.
 
     def __post_init__(self) -> None:
         parse_episodes(self.episodes)
@@ -86,6 +88,12 @@ class ConvertConfig:
                     raise CEIError(f"--dry_run {why} --{option}; leave one out.")
             if self.executor == "slurm":
                 raise CEIError("--dry_run is done at once, here; leave out --executor=slurm.")
+        if self.evidence.enabled and self.replays:
+            raise CEIError(
+                "--verify and --refine ask the environment itself, which knows better than the twin of --evidence; leave one out."
+            )
+        if self.evidence.enabled and self.augment.enabled:
+            raise CEIError("--evidence needs what cameras saw of objects, which --augment.* moves; leave one out.")
         if self.augment.enabled and not self.clouds.swap:
             raise CEIError(
                 "--clouds.swap=false keeps the source in the clouds, which --augment.* cannot move; leave one out."
@@ -139,7 +147,7 @@ def _idle(config: ConvertConfig) -> dict[str, str]:
         weights = ("facing", "approach", "turning", "carrying", "posture")
         idle |= dict.fromkeys((f"contact.{name}_weight" for name in weights), "with --contact.opposition_weight=0")
     if not config.clouds.swap:
-        put_in = ("robot_points", "voxel_m", "seen_only")
+        put_in = ("robot_share", "robot_points", "voxel_m", "seen_only")
         idle |= dict.fromkeys((f"clouds.{name}" for name in put_in), "with --clouds.swap=false, which puts no robot in")
     if config.augment.rotation_deg == 0:
         idle["augment.seed"] = "without --augment.rotation_deg"

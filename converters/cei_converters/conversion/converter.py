@@ -11,6 +11,7 @@ from cei_converters.conversion.agreement import check_clouds
 from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.config import AUTO, ConvertConfig
 from cei_converters.conversion.episode import Converted
+from cei_converters.conversion.evidence import Witness
 from cei_converters.conversion.ordered_map import in_background, ordered_map
 from cei_converters.conversion.placing import PLACE_EPISODES, sample
 from cei_converters.conversion.steps import Encode, Judge, OnRecorded, OnRetargeted, Read, Retarget, make_steps
@@ -93,8 +94,10 @@ class Converter:
             carried=stored and self.reader.carries,
             then=on_recorded,
         )
-        self._retarget = Retarget(self.transfer, None, config.init.modes, stored, on_retargeted, mode=config.init.mode)
-        self._judge = Judge(config.gate, config.allow_unreachable, config.drop_strays)
+        witness = Witness(self.transfer, config.evidence) if config.evidence.enabled else None
+        modes, mode = config.init.modes, config.init.mode
+        self._retarget = Retarget(self.transfer, None, modes, stored, on_retargeted, mode, witness)
+        self._judge = Judge(config.gate, config.allow_unreachable, config.drop_strays, config.evidence.drop)
         self._encode = Encode(
             self.reader,
             config.target,
@@ -264,8 +267,7 @@ def one_thread() -> contextlib.AbstractContextManager:
 
 def _environment(reader: Source, target: str, T_world_target: Array | None) -> Environment:
     """The source's environment with the robot exchanged, where it is asked to stand; it still starts at that robot's home."""
-    known = reader.metadata.environment if reader.metadata is not None else Environment()
-    source = reader.embodiment.name
+    known, source = reader.environment, reader.embodiment.name
     if known.id is None or not known.id.endswith(source):
         return Environment()
     kwargs = {name: value for name, value in known.kwargs.items() if name not in (START, SENSORS)}

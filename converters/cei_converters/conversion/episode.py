@@ -12,6 +12,7 @@ from cei_gym.alignment import AlignmentReport
 from cei_gym.alignment.judge.quality import Quality
 from cei_gym.augmentation import Offset
 from cei_gym.demonstration import Demonstration
+from cei_gym.twin.evidence import Evidence
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class Retargeted:
         verdict: what replaying showed, if it was replayed.
         pictures: what cameras saw, frame by frame of the target's demonstration, or what a step has painted.
         carried: what else there is of these frames.
+        evidence: what a twin of the recording says, if it was asked.
 
     Raises:
         CEIError: pictures or columns are not of as many frames as the demonstration.
@@ -61,6 +63,7 @@ class Retargeted:
     verdict: Verdict | None = None
     pictures: Pictures = field(default_factory=Pictures)
     carried: Carried = field(default_factory=Carried)
+    evidence: Evidence | None = None
 
     def __post_init__(self) -> None:
         frames = len(self.demonstration)
@@ -128,7 +131,7 @@ class Outcome:
         verdict = stored["verdict"]
         built: dict[str, Any] = {
             "worst": Worst(**stored["worst"]),
-            "verdict": None if verdict is None else Verdict(**verdict),
+            "verdict": None if verdict is None else Verdict.decode(verdict),
         }
         return cls(**stored | built)
 

@@ -11,6 +11,8 @@ LOW_QUALITY = "of low quality"
 """Why a dropped episode is left out."""
 ANOTHER_WAY = "goes another way"
 """Why an episode is left out that would teach a policy something else than the others do."""
+FAILS_IN_TWIN = "fails in its twin"
+"""Why an episode is left out that a twin of its recording shows to fail."""
 
 _SHOWN = 10
 

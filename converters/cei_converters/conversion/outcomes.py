@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from cei_converters.cli.table import print_table
+from cei_converters.conversion import evidence
 from cei_converters.conversion.augment import check_left, count, counted
 from cei_converters.conversion.episode import Outcome
-from cei_converters.conversion.gate import LOW_QUALITY, in_words
+from cei_converters.conversion.gate import FAILS_IN_TWIN, LOW_QUALITY, in_words
 from cei_converters.conversion.plan import Plan
 from cei_converters.conversion.reach import spans
 from cei_converters.conversion.shard import Shard
@@ -43,6 +44,7 @@ class Summary:
         judged: which are dropped or flagged for their quality (`Gate.judge`), if it was asked for.
         augmented: how many were made and left out (`count`), if objects are moved.
         strays: which go another way than the others, if any do, and whether they are left out.
+        evidence: what twins of the recordings say, if it was asked for.
     """
 
     entries: list[dict[str, Any]]
@@ -50,11 +52,13 @@ class Summary:
     judged: dict[str, list[int]] | None = None
     augmented: dict[str, Any] | None = None
     strays: dict[str, Any] | None = None
+    evidence: dict[str, Any] | None = None
 
     @property
     def choices(self) -> dict[str, Any]:
-        """The last four, where they were asked for, by the names they have in the result."""
+        """All but the entries, where they were asked for, by the names they have in the result."""
         found = {"verify": self.verified, "gate": self.judged, "augment": self.augmented, "strays": self.strays}
+        found["evidence"] = self.evidence
         return {name: value for name, value in found.items() if value is not None}
 
 
@@ -69,7 +73,7 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
     Raises:
         CEIError: no episode is kept.
     """
-    entries, rows, verdicts, left_out, scored = [], [], [], [], []
+    entries, rows, verdicts, left_out, scored, said, failing = [], [], [], [], [], [], []
     for outcome in outcomes(place, plan):
         entry, reason = outcome.entry, outcome.left_out
         left_out.append(reason)
@@ -78,6 +82,10 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
         if reason in ("", LOW_QUALITY):
             scored.append(entry)
         row = entry | {"flagged": "yes" if outcome.record.get("flagged") else None, "left_out": reason or None}
+        if (of_twin := outcome.record.get("evidence")) is not None:
+            said.append(of_twin)
+            failing += [entry["episode"]] if reason == FAILS_IN_TWIN else []
+            row |= {"evidence": evidence.row(of_twin)}
         if outcome.verdict is not None:
             verdicts.append(outcome.verdict)
             row |= outcome.verdict.row()
@@ -91,6 +99,9 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
         verified = summarise(verdicts)
         print(f"Verification: {sentence(verified)}.")
         check_kept(verified)
+    witnessed = evidence.summarise(said, failing) if said else None
+    if witnessed is not None:
+        print(f"Evidence of twins: {evidence.sentence(witnessed)}.")
     if plan.config.gate.bounds:
         judged = plan.config.gate.judge(scored)
         print(f"Quality: {in_words(judged)}.")
@@ -98,7 +109,7 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
         augmented = count(left_out)
         print(f"Augmentation: {counted(augmented)}.")
         check_left(augmented)
-    return Summary(entries, verified, judged, augmented, strays)
+    return Summary(entries, verified, judged, augmented, strays, witnessed)
 
 
 def _print_rows(rows: list[dict[str, Any]], title: str) -> None:

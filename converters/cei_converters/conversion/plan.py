@@ -28,7 +28,7 @@ WHERE = ("package_path",)
 PLACED = "placed"
 """What provenance has of the place that `--target_pose=auto` found."""
 
-DECIDED = ("basins", "gate", "verify.dropped", "refine.common", "strays", "table", PLACED)
+DECIDED = ("basins", "gate", "verify.dropped", "evidence.dropped", "refine.common", "strays", "table", PLACED)
 """What provenance has among the options of a finished conversion that nobody gave; see `assemble`."""
 
 

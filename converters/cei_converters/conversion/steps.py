@@ -15,7 +15,7 @@ import numpy as np
 
 from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.episode import Converted, Judged, Outcome, Recorded, Retargeted, Worst
-from cei_converters.conversion.gate import ANOTHER_WAY, DROPPED, FLAGGED, LOW_QUALITY, Gate
+from cei_converters.conversion.gate import ANOTHER_WAY, DROPPED, FAILS_IN_TWIN, FLAGGED, LOW_QUALITY, Gate
 from cei_converters.conversion.reach import check_reached
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.carried import Carried
@@ -27,15 +27,18 @@ from cei_converters.dataset.writer import Header
 from cei_gym import plugins
 from cei_gym.alignment.judge.quality import assess
 from cei_gym.errors import CEIError
+from cei_gym.twin.evidence import FAILS
 
 if TYPE_CHECKING:
+    from cei_converters.conversion.evidence import Witness
     from cei_converters.conversion.verify import Verifier
     from cei_converters.sources.source import Source
     from cei_gym.transfer import Transfer
 
 GROUP = "cei_gym.steps"
 """Entry points of steps that packages offer."""
-_OF_THE_SOURCE = ("verified", "source_frames", "flagged", "offset", "painted")
+_TRACES = ("pad_distance_mm", "normal_angle_deg")
+_OF_THE_SOURCE = ("verified", "evidence", "source_frames", "flagged", "offset", "painted")
 
 
 class Step:
@@ -148,6 +151,7 @@ class Retarget:
         clouds: whether clouds are synthesised.
         then: steps that packages add, in their order.
         mode: the one motion that all episodes take instead.
+        witness: who asks a twin of the recording, if that is asked for; not beside a verifier.
     """
 
     transfer: "Transfer"
@@ -156,18 +160,20 @@ class Retarget:
     clouds: bool
     then: Sequence[OnRetargeted]
     mode: int | None = None
+    witness: "Witness | None" = None
 
     def __call__(self, recorded: Recorded) -> Retargeted:
         # motions take turns: a dataset is an even mixture
         mode = recorded.position % self.modes if self.mode is None else self.mode
         if self.verifier is None:
-            moved, report = self.transfer(recorded.demonstration, mode, clouds=self.clouds)
-            verdict = None
+            aligned = self.transfer.aligned(recorded.demonstration, mode)
+            moved, report = self.transfer.made(aligned, clouds=self.clouds)
+            verdict, evidence = None, None if self.witness is None else self.witness(aligned, moved)
         else:
-            moved, report, verdict = self.verifier(recorded.demonstration, mode)
+            (moved, report, verdict), evidence = self.verifier(recorded.demonstration, mode), None
         frames = moved.source_frames
         pictures, carried = recorded.pictures.at(frames), recorded.carried.at(frames)
-        made = Retargeted(recorded, mode, moved, report, verdict, pictures, carried)
+        made = Retargeted(recorded, mode, moved, report, verdict, pictures, carried, evidence)
         for step in self.then:
             made = step(made)
         return made
@@ -181,11 +187,13 @@ class Judge:
         gate: what decides by quality.
         allow_unreachable: whether frames out of reach are kept.
         drop_strays: whether those that go another way in the joints are left out.
+        drop_failing: whether those that fail in a twin of their recording are left out.
     """
 
     gate: Gate
     allow_unreachable: bool
     drop_strays: bool
+    drop_failing: bool
 
     def __call__(self, made: Retargeted) -> Judged:
         quality = assess(made.report)
@@ -203,6 +211,8 @@ class Judge:
             return "fails"
         if self.drop_strays and made.report.another_way:
             return ANOTHER_WAY
+        if self.drop_failing and made.evidence is not None and made.evidence.answer == FAILS:
+            return FAILS_IN_TWIN
         return LOW_QUALITY if decision == DROPPED else ""
 
 
@@ -267,6 +277,7 @@ class Encode:
             "quality": {"score": quality.score, "parts": quality.parts},
             **({"flagged": True} if judged.flagged else {}),
             **({} if verdict is None else {"verified": verdict.record()}),
+            **({} if made.evidence is None else {"evidence": made.evidence.record()}),
             **({} if moved.source_frames is None else {"source_frames": moved.source_frames.tolist()}),
             **({"painted": sorted(made.pictures.painted)} if made.pictures.painted else {}),
             **figures,
@@ -280,13 +291,7 @@ class Encode:
         return Outcome(
             plain(entry),
             plain(record),
-            plain(
-                {
-                    "episode": recorded.index,
-                    "pad_distance_mm": report.pad_distance_mm,
-                    "normal_angle_deg": report.normal_angle_deg,
-                }
-            ),
+            plain({"episode": recorded.index} | {name: getattr(report, name) for name in _TRACES}),
             Worst(worst, plain(recorded.demonstration.qpos[of_source]), plain(moved.qpos[worst])),
             verdict,
             judged.left_out,

@@ -3,10 +3,13 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from cei_converters.dataset import corrections
+from cei_converters.dataset.corrections import Corrected
+from cei_gym.alignment.contact.correction import Correction
 from cei_gym.errors import CEIError
 
 CORRECTED = "corrected"
@@ -27,6 +30,7 @@ class Verdict:
         held, plain_held: with refinement, which share of replays succeeded of the way that is kept, and of the plain one; these chose it, so
             fresh ones (`cei-replay --perturb`) may show less.
         replays: how many there were.
+        corrected: the correction that is kept, if one is.
     """
 
     episode: int
@@ -38,12 +42,26 @@ class Verdict:
     held: float | None = None
     plain_held: float | None = None
     replays: int | None = None
+    corrected: Corrected | None = None
+
+    @classmethod
+    def decode(cls, stored: dict[str, Any]) -> Self:
+        """What `dataclasses.asdict` made of one.
+
+        Raises:
+            KeyError, TypeError: it is something else.
+        """
+        built: dict[str, Any] = {}
+        if (found := stored.get(corrections.CORRECTED)) is not None:
+            built[corrections.CORRECTED] = Corrected(**found | {"correction": Correction(**found["correction"])})
+        return cls(**stored | built)
 
     def record(self) -> dict[str, Any]:
         """For the dataset's metadata."""
         names = ["success", "attempts", "how", "failure"]
         names += [name for name in ("held", "plain_held", "replays") if getattr(self, name) is not None]
-        return {name: getattr(self, name) for name in names}
+        found = {name: getattr(self, name) for name in names}
+        return found if self.corrected is None else found | {corrections.CORRECTED: self.corrected.record()}
 
     def row(self) -> dict[str, str]:
         """For the table on the terminal."""

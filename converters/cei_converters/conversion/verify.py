@@ -11,7 +11,8 @@ from cei_converters.conversion.refine import RefineOptions
 from cei_converters.conversion.search import InTurn, Listed, Sampled, Search
 from cei_converters.conversion.trials import Held, Trials
 from cei_converters.conversion.verdict import Verdict
-from cei_gym.alignment.contact.correction import Correction
+from cei_converters.dataset.corrections import Corrected
+from cei_gym.alignment.contact.correction import Correction, Holds, dwelling
 from cei_gym.arrays import Array
 from cei_gym.errors import CEIError
 from cei_gym.transfer import Attempt
@@ -121,6 +122,8 @@ class Verifier:
         )
         if refine is not None:
             verdict = replace(verdict, held=best.share, plain_held=plain.share, replays=trials.replays)
+        if best.attempt.correction is not None:
+            verdict = replace(verdict, corrected=_corrected(best.attempt.correction, aligned, plain.moved))
         return moved, report, verdict
 
     def search_common(
@@ -179,6 +182,17 @@ class _Way:
     held: Held
     share: float
     known: bool = False
+
+
+def _corrected(correction: Correction, aligned: "Aligned", plain: "Demonstration") -> Corrected:
+    """What the dataset keeps of a correction: with it, where the robot would be in the middle of its first hold without."""
+    motion = aligned.followed.motion
+    holds = Holds.of(motion.grip, motion.dt_s or 0.0)
+    middle = int(holds.first[0] + holds.last[0]) // 2
+    shown = dwelling(motion, len(plain), correction)  # the kept one's frames, of the plain one's
+    return Corrected(
+        correction, int(np.flatnonzero(shown == middle)[0]), [round(float(q), 6) for q in plain.qpos[middle]]
+    )
 
 
 def _same(one: "Demonstration", other: "Demonstration") -> bool:

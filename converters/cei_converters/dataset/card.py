@@ -9,7 +9,7 @@ import numpy as np
 
 from cei_converters.dataset import schema
 from cei_converters.dataset.card_markdown import flat, listed, markdown_table
-from cei_converters.dataset.card_records import augmented, quality, verified
+from cei_converters.dataset.card_records import augmented, evidence, quality, verified
 from cei_converters.dataset.license import CARD_PATH, FIELDS, license_files
 from cei_converters.dataset.metadata import METADATA_PATH, Metadata, Source
 from cei_converters.dataset.records import RECORDS_PATH, Records
@@ -40,6 +40,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
         quality(root, metadata, records),
         augmented(records),
         verified(metadata, records),
+        evidence(metadata, records),
         _cameras(metadata, info, records),
         _columns(metadata),
         _layout(metadata, info),

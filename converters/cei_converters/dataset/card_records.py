@@ -111,3 +111,23 @@ def verified(metadata: Metadata, records: Records) -> str:
 def _kind(how: str) -> str:
     """What a way is called; corrections are each their own, and count as one kind."""
     return "corrected" if how.startswith("corrected") else how
+
+
+def evidence(metadata: Metadata, records: Records) -> str:
+    """What twins of the recordings say of the episodes; empty if they were not asked."""
+    answers = Counter(record["evidence"]["answer"] for record in records if "evidence" in record)
+    if not answers:
+        return ""
+    asked = [each for provenance in metadata.provenances if (each := provenance.options.get("evidence"))]
+    assumed = "".join(
+        f" Assumed of what is held: {each['density_kg_m3']:g} kg/m^3, friction {each['friction']:g}."
+        for each in asked[:1]
+    )
+    left_out = sum(len(each.get("dropped", ())) for each in asked)
+    assumed += f" Episodes that fail in it are left out ({left_out})." if left_out else ""
+    text = (
+        "## Evidence of twins\n\nNo environment was asked: of each recording a scene was built from its clouds and from where the source touched "
+        "what it held, the source's own motion was tried in it, then the converted one, several times a little otherwise. This is evidence, not "
+        f"proof.{assumed} Per episode in `{RECORDS_PATH}`, under `evidence`.\n\n"
+    )
+    return text + markdown_table(("a converted episode", "episodes"), list(answers.items()))

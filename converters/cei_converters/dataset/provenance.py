@@ -76,12 +76,18 @@ def versions(packages: Iterable[str]) -> dict[str, str]:
 
 
 def git_commit() -> str | None:
-    """Commit of the checkout that cei_gym is imported from, `-dirty` if changed; None if there is none."""
+    """Commit of the checkout that cei_gym is imported from, `-dirty` if changed; None if there is none.
+
+    Figures that a benchmark has written change nothing of what the next one measures: `results` is not looked at.
+    """
     package = Path(cei_gym.__file__)
     try:
         # a package installed inside some other checkout is ignored or untracked there
         _git(package.parent, "ls-files", "--error-unmatch", package.name)
-        return _git(package.parent, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+        changed = _git(
+            package.parent, "status", "--porcelain", "--untracked-files=no", "--", ":/", ":(top,exclude)results"
+        )
+        return _git(package.parent, "rev-parse", "HEAD") + ("-dirty" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return None
 

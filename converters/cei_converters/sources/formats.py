@@ -101,7 +101,7 @@ def read_recordings(
     if kind not in (LEROBOT, HDF5, ZARR):
         raise CEIError(f"{root} is read by {kind!r} of an installed package, which says itself what its columns are.")
     if kind == HDF5:
-        from cei_converters.sources.robomimic import recordings
+        from cei_converters.sources.robomimic_file import recordings
 
         return recordings(Path(str(root)), most)
     if kind == ZARR:

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from cei_converters.dataset.carried import Carried
+from cei_converters.dataset.metadata import Environment
 from cei_converters.dataset.opening import embodiment_without_metadata
 from cei_converters.sources import hdf5
 from cei_converters.sources.actions import BoundActions, action_map, bind_actions
@@ -17,7 +18,6 @@ from cei_converters.sources.binding import bind
 from cei_converters.sources.calibration import Calibration
 from cei_converters.sources.checks import check_cloud
 from cei_converters.sources.joint_map import ActionMap, JointMap
-from cei_converters.sources.recording import Recording, Recordings, spread
 from cei_converters.sources.robomimic_file import (
     CARRIED,
     CLOUD,
@@ -37,6 +37,7 @@ from cei_converters.sources.robomimic_file import (
 )
 from cei_converters.sources.robosuite import ACTIONS, action_entries
 from cei_converters.sources.scene import scene_without_metadata, table_from
+from cei_converters.sources.simulated import STATES, SimulatedTask, same_place, simulated_task
 from cei_converters.sources.source import Source
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
@@ -58,6 +59,9 @@ class RobomimicSource(Source):
     Positions are `obs/robot0_joint_pos` and `obs/robot0_gripper_qpos`; with a joint map, columns are named after all of `obs`
     that has one row of numbers a frame, such as `robot0_eef_pos.0`. Of `actions` the gripper's command is taken, and the arm's where
     its controller takes absolute joint positions (`robosuite`); else the next frame's state stands for them.
+
+    Where there is an environment of the task that `env_args` name, the simulator's states are those of its objects, and the model says where
+    the robot's base and the table are (`simulated`).
 
     Args:
         repo_id, root, embodiment, T_world_base, calibration, joint_map: see `open_source`.
@@ -95,6 +99,9 @@ class RobomimicSource(Source):
             self._carried_as = carried_by(episode, self.root)
             self.dropped = elsewhere | dropped_from(found, columns, list(self._carried_as), episode)
             self._task = task_of(data_of(file, self.root), env)
+            self._simulated: SimulatedTask | None = None
+            if STATES in self.dropped:
+                self._simulate(env, episode, len(found[next(iter(columns))]), T_world_base, calibration)
         kwargs = env.get("env_kwargs")
         kwargs = kwargs if isinstance(kwargs, Mapping) else {}
         self.fps = fps_of(joint_map, kwargs, self.root)
@@ -106,6 +113,42 @@ class RobomimicSource(Source):
             key: {"dtype": dtype, "shape": (1,), "names": None}
             for key, dtype in (CARRIED[name] for name in self._carried_as)
         }
+
+    @property
+    def environment(self) -> Environment:
+        """See `Source.environment`."""
+        return Environment() if self._simulated is None else self._simulated.environment
+
+    def _simulate(
+        self,
+        env: Mapping[str, Any],
+        episode: h5py.Group,
+        frames: int,
+        T_world_base: Array | None,
+        calibration: Calibration | None,
+    ) -> None:
+        """Take the simulator at its word: objects, base and table, where it is of a task that there is an environment of. Else say why not."""
+        task = simulated_task(env, self.embodiment, episode)
+        if isinstance(task, str):
+            self.dropped[STATES] = task
+            return
+        try:
+            first = task.restored(episode, frames, self._names[0], self.root)
+        except CEIError as error:
+            self.dropped[STATES] = f"as they are not of {task.environment.id} ({error})"
+            return
+        if T_world_base is None and (calibration is None or calibration.T_world_base is None):
+            self.scene = scene_without_metadata(first.T_world_base, calibration)
+        if not same_place(self.scene.T_world_base, first.T_world_base):
+            at = ", ".join(f"{x:g}" for x in first.T_world_base[:3, 3])
+            self.dropped[STATES] = f"as the simulator has the robot at {at} m, not where it is said to be"
+            return
+        self._simulated = task
+        del self.dropped[STATES]
+        if OBJECTS in observations(episode, self.root)[0]:
+            self.dropped[OBJECTS] = f"as {STATES} say it"
+        if not self.table_from:
+            self.set_table(first.surface_z_m, str(task.environment.id))
 
     def _bind_actions(
         self, joint_map: JointMap | None, kwargs: Mapping[str, Any], names: list[str]
@@ -142,14 +185,10 @@ class RobomimicSource(Source):
         with hdf5.opened(self.root) as file:
             found, entries = self._checked(file, index)
             state = np.column_stack([hdf5.read(found[name], self.root) for name in self._layout.columns])
-            objects = hdf5.read(found[OBJECTS], self.root).astype(np.float64) if OBJECTS in found else None
+            objects, object_names = self._objects(self._episode(file, index), found, len(state), where)
             actions = None if entries is None else hdf5.read(entries, self.root)
             if clouds and self.has_clouds:
                 cloud = check_cloud(hdf5.read(found[CLOUD], self.root), len(state), where)
-        if objects is not None and (objects.ndim != 2 or len(objects) != len(state)):
-            raise CEIError(
-                f"{where}: obs/{OBJECTS} has shape {objects.shape}; it should have {len(state)} rows of numbers."
-            )
         joints = self.joints(state, actions, index, self._bound, self._actions)
         return Demonstration(
             embodiment=self.embodiment.name,
@@ -160,10 +199,30 @@ class RobomimicSource(Source):
             task=self._task_of(index),
             point_cloud_world=cloud,
             environment_state=objects,
-            environment_state_names=() if objects is None else tuple(numbered_names(OBJECTS, objects.shape[1])),
+            environment_state_names=object_names,
             index=index,
             figures=joints.figures,
         )
+
+    def _objects(
+        self, episode: h5py.Group, found: Mapping[str, h5py.Dataset], frames: int, where: str
+    ) -> tuple[Array | None, tuple[str, ...]]:
+        """What is known of objects, (frames, k), and its names: as the simulator stored it, else as it was observed."""
+        if self._simulated is not None:
+            restored = self._simulated.restored(episode, frames, where, self.root)
+            if not same_place(self.scene.T_world_base, restored.T_world_base):
+                raise CEIError(
+                    f"{where}: the robot stands elsewhere than in {self._names[0]}; leave it out with --episodes."
+                )
+            return restored.environment_state, self._simulated.state_names
+        if OBJECTS not in found:
+            return None, ()
+        objects = hdf5.read(found[OBJECTS], self.root).astype(np.float64)
+        if objects.ndim != 2 or len(objects) != frames:
+            raise CEIError(
+                f"{where}: obs/{OBJECTS} has shape {objects.shape}; it should have {frames} rows of numbers."
+            )
+        return objects, tuple(numbered_names(OBJECTS, objects.shape[1]))
 
     def carry(self, index: int) -> Carried:
         """See `Source.carry`."""
@@ -231,29 +290,3 @@ class RobomimicSource(Source):
                 f"{where} has {counts}: as many rows should be of each, one a frame; leave it out with --episodes."
             )
         return found, entries
-
-
-def recordings(root: Path, most: int) -> Recordings:
-    """All columns that a joint map may use, of some episodes.
-
-    Raises:
-        CEIError: the file cannot be read.
-    """
-    with hdf5.opened(root) as file:
-        names = episode_names(file, root)
-        env = hdf5.json_attribute(data_of(file, root), "env_args")
-        episodes, columns = [], {}
-        for i in spread(len(names), most):
-            episode = hdf5.group_at(data_of(file, root), names[i], root)
-            assert episode is not None
-            found, _ = observations(episode, root)
-            columns = columns or number_columns(found)
-            if missing := [name for name in columns if name not in found]:
-                raise CEIError(f"{root}, {names[i]} lacks obs/{missing[0]}, which the first episode has.")
-            episodes.append(
-                Recording(i, np.column_stack([hdf5.read(found[name], root) for name in columns]).astype(float))
-            )
-    kwargs = env.get("env_kwargs")
-    fps = kwargs.get("control_freq") if isinstance(kwargs, Mapping) else None
-    numbered = [name for column, size in columns.items() for name in numbered_names(column, size)]
-    return Recordings(numbered, fps, episodes, len(names))

@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 
 from cei_converters.dataset.carried import OF_THE_ROBOT
 from cei_converters.sources import hdf5
 from cei_converters.sources.joint_map import JointMap
+from cei_converters.sources.recording import Recording, Recordings, spread
 from cei_converters.sources.robosuite import ACTIONS
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
@@ -127,3 +129,29 @@ def fps_of(joint_map: JointMap | None, kwargs: Mapping[str, Any], root: Path) ->
     if not isinstance(fps, (int, float)) or isinstance(fps, bool) or not 0 < fps < 10_000:
         raise CEIError(f"{root} does not say how many frames a second it has; --joint_map can, by fps: 20.")
     return float(fps)
+
+
+def recordings(root: Path, most: int) -> Recordings:
+    """All columns that a joint map may use, of some episodes.
+
+    Raises:
+        CEIError: the file cannot be read.
+    """
+    with hdf5.opened(root) as file:
+        names = episode_names(file, root)
+        env = hdf5.json_attribute(data_of(file, root), "env_args")
+        episodes, columns = [], {}
+        for i in spread(len(names), most):
+            episode = hdf5.group_at(data_of(file, root), names[i], root)
+            assert episode is not None
+            found, _ = observations(episode, root)
+            columns = columns or number_columns(found)
+            if missing := [name for name in columns if name not in found]:
+                raise CEIError(f"{root}, {names[i]} lacks obs/{missing[0]}, which the first episode has.")
+            episodes.append(
+                Recording(i, np.column_stack([hdf5.read(found[name], root) for name in columns]).astype(float))
+            )
+    kwargs = env.get("env_kwargs")
+    fps = kwargs.get("control_freq") if isinstance(kwargs, Mapping) else None
+    numbered = [name for column, size in columns.items() for name in numbered_names(column, size)]
+    return Recordings(numbered, fps, episodes, len(names))

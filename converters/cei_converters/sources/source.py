@@ -12,7 +12,7 @@ import numpy as np
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.carried import Carried
 from cei_converters.dataset.essentials import Remains
-from cei_converters.dataset.metadata import Metadata, restore_with
+from cei_converters.dataset.metadata import Environment, Metadata, restore_with
 from cei_converters.sources.actions import BoundActions
 from cei_converters.sources.binding import BoundJointMap
 from cei_converters.sources.checks import LEAST_FRAMES, check_finite, likely_unit
@@ -82,6 +82,11 @@ class Source(ABC):
     def recognises(cls, path: Path) -> bool:
         """Whether what a path holds, which is none of our own formats, is of this one; for formats of other packages (`formats`)."""
         return False
+
+    @property
+    def environment(self) -> Environment:
+        """What its episodes replay in, if anything says."""
+        return Environment() if self.metadata is None else self.metadata.environment
 
     @property
     def tasks(self) -> list[str]:

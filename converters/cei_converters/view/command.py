@@ -93,11 +93,15 @@ def view(config: ViewConfig) -> dict[str, Any]:
         "frames": len(shown),
         "embodiments": {side.role: side.embodiment.name for side in shown.sides},
         "residuals": shown.residuals,
+        "correction": shown.correction or None,
         "rrd": config.rrd,
         "sheet": config.sheet,
     }
     write_json(json, result)
-    _print(shown.title, [output.path for output in (rrd, sheet) if output is not None])
+    _print(
+        f"{shown.title}{shown.correction and f', {shown.correction}'}",
+        [output.path for output in (rrd, sheet) if output is not None],
+    )
     return result
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cei_converters.dataset.corrections import Corrected, held_in_words
 from cei_gym.alignment import AlignmentProblem, SolverOptions
 from cei_gym.alignment.judge.report import pad_residuals
 from cei_gym.arrays import Array
@@ -29,7 +30,7 @@ class Side:
     """One robot's episode of T frames, in the world.
 
     Attributes:
-        role: "source", "target", or "dataset" if it is shown alone.
+        role: "source", "target", or "dataset" if it is shown alone; "uncorrected" is what the target would do without its correction.
         embodiment: the robot.
         demonstration: the frames shown.
         frames: (T,) which frames of its own dataset's episode these are.
@@ -56,28 +57,17 @@ class Side:
     @property
     def whose(self) -> str:
         """For its pads, in a legend."""
-        return "finger" if self.role == "dataset" else f"{self.role}'s"
+        return {"dataset": "finger", "uncorrected": "uncorrected"}.get(self.role, f"{self.role}'s")
 
     @property
     def pads_rgb(self) -> tuple[int, int, int]:
-        """Colour of its pads: a source's are blue, others red."""
-        return (40, 110, 230) if self.role == "source" else (230, 50, 40)
+        """Colour of its pads: a source's are blue, what is not corrected is amber, others red."""
+        return {"source": (40, 110, 230), "uncorrected": (235, 150, 0)}.get(self.role, (230, 50, 40))
 
     def towards_eye(self, direction_base: tuple[float, float, float]) -> Array:
         """(3,) unit vector in the world of a direction in the base frame."""
         direction = self.demonstration.scene.T_world_base[:3, :3] @ direction_base
         return direction / np.linalg.norm(direction)
-
-    def cloud_rgb(self, t: int) -> Array:
-        """(P, 3) uint8 colours of the cloud's points at a frame: their own if it has any, else by height in the workspace."""
-        from matplotlib import colormaps
-
-        assert self.demonstration.point_cloud_world is not None
-        cloud = self.demonstration.point_cloud_world[t]
-        if cloud.shape[1] == 6:
-            return (255 * np.clip(cloud[:, 3:], 0, 1)).round().astype(np.uint8)
-        low, high = self.demonstration.scene.workspace_world[:, 2]
-        return colormaps["viridis"]((cloud[:, 2] - low) / (high - low), bytes=True)[:, :3]
 
 
 @dataclass(frozen=True)
@@ -89,11 +79,15 @@ class View:
         title: dataset, episode and task in one line.
         residuals: `pad_distance_mm` and `normal_angle_deg`, (T,) each, between source and target; empty without a source, or where
             objects were moved.
+        correction: what a refined conversion has corrected, as numbers, in one line; empty if nothing.
+        uncorrected: the dataset's robot without it, in the one frame in which the dataset says where that would be; None if it does not.
     """
 
     sides: tuple[Side, ...]
     title: str
     residuals: dict[str, Array]
+    correction: str = ""
+    uncorrected: Side | None = None
 
     def __len__(self) -> int:
         return len(self.sides[0].frames)
@@ -113,6 +107,18 @@ class View:
         return (low + high) / 2 + distance_m * self.sides[-1].towards_eye(_VIEW_DIRECTION), (low + high) / 2
 
 
+def cloud_rgb(demonstration: Demonstration, t: int) -> Array:
+    """(P, 3) uint8 colours of the cloud's points at a frame: their own if it has any, else by height in the workspace."""
+    from matplotlib import colormaps
+
+    assert demonstration.point_cloud_world is not None
+    cloud = demonstration.point_cloud_world[t]
+    if cloud.shape[1] == 6:
+        return (255 * np.clip(cloud[:, 3:], 0, 1)).round().astype(np.uint8)
+    low, high = demonstration.scene.workspace_world[:, 2]
+    return colormaps["viridis"]((cloud[:, 2] - low) / (high - low), bytes=True)[:, :3]
+
+
 def load_view(reader: "Source", index: int, source: "Source | None" = None) -> View:
     """Read an episode, and what it was converted from if that is to be shown too.
 
@@ -130,14 +136,28 @@ def load_view(reader: "Source", index: int, source: "Source | None" = None) -> V
         title += f" ({' '.join(demonstration.task.split()).rstrip('.')})"
     role = "dataset" if source is None else "target"
     target = make_side(role, reader.embodiment, demonstration, np.arange(len(demonstration)))
+    correction = _correction(reader.record(index), target, title)
     if source is None:
-        return View((target,), title, {})
+        return View((target,), title, {}, *correction)
     source_index, frames = _origin(reader, index, len(demonstration), source)
     recorded = source.read(source_index).at(frames)
     before = make_side("source", source.embodiment, recorded, frames)
     if "offset" in reader.record(index):
-        return View((before, target), f"{title}, objects moved", {})  # not where the source's pads were
-    return View((before, target), title, _residuals(before, target))
+        return View((before, target), f"{title}, objects moved", {}, *correction)  # not where the source's pads were
+    return View((before, target), title, _residuals(before, target), *correction)
+
+
+def _correction(record: dict[str, Any], target: Side, where: str) -> tuple[str, Side | None]:
+    """What is corrected in an episode, in numbers, and its robot without that."""
+    shown = target.demonstration
+    found = Corrected.of(record, len(shown), len(target.embodiment.joint_names), where)
+    if found is None:
+        return "", None
+    held = held_in_words(record)
+    q = np.array([found.plain_qpos])
+    without = Demonstration(shown.embodiment, shown.fps, q, q, shown.scene)
+    side = make_side("uncorrected", target.embodiment, without, np.array([found.frame]))
+    return f"corrected: {found.correction}{held and f'; {held}'}", side
 
 
 def _origin(reader: "Source", index: int, length: int, source: "Source") -> tuple[int, Array]:

@@ -12,7 +12,7 @@ from cei_converters import signals
 from cei_converters.cli.outputs import whole
 from cei_converters.dataset import schema
 from cei_converters.dataset.place import temporary_folder
-from cei_converters.view.episode import NORMAL_M, RESIDUALS, Side, View
+from cei_converters.view.episode import NORMAL_M, RESIDUALS, Side, View, cloud_rgb
 from cei_gym.arrays import Array
 from cei_gym.embodiment.meshes import visual_link_meshes
 from cei_gym.errors import CEIError
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-APPLICATION = "cei-view"
+APPLICATION, CORRECTION = "cei-view", "correction"
 _POINT_M, _PAD_M, _ARROW_M = 0.0025, 0.0012, 0.0005  # radii
 
 
@@ -66,6 +66,7 @@ def _log(recording: "rr.RecordingStream", view: View) -> None:
         _log_cloud(recording, times, side)
         _log_cameras(recording, view, side)
         _log_joints(recording, times, side)
+    _log_correction(recording, view)
     for key, label in RESIDUALS.items():
         if key in view.residuals:
             _log_series(recording, times, f"residuals/{key}", label, view.residuals[key])
@@ -115,7 +116,7 @@ def _log_cloud(recording: "rr.RecordingStream", times: list[Any], side: Side) ->
         frames, points, _ = cloud.shape
         path = f"{side.role}/cloud"
         recording.log(path, rr.Points3D.from_fields(radii=_POINT_M), static=True)
-        colours = np.concatenate([side.cloud_rgb(t) for t in range(frames)])
+        colours = np.concatenate([cloud_rgb(side.demonstration, t) for t in range(frames)])
         columns = rr.Points3D.columns(positions=cloud[..., :3].reshape(-1, 3), colors=colours)
         recording.send_columns(path, indexes=times, columns=columns.partition([points] * frames))
 
@@ -150,6 +151,28 @@ def _log_joints(recording: "rr.RecordingStream", times: list[Any], side: Side) -
             _log_series(recording, times, f"{side.role}/joints/{kind}/{name}", name, series)
 
 
+def _log_correction(recording: "rr.RecordingStream", view: View) -> None:
+    """Pads in the one frame in which it is known where they would be without the correction, the source's too, and how it moves each point."""
+    import rerun as rr
+
+    if view.uncorrected is None:
+        return
+    frame, path = int(view.uncorrected.frames[0]), CORRECTION
+    recording.log(path, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    recording.log(f"{path}/words", rr.TextDocument(f"Frame {frame}: {view.correction}."), static=True)
+    for side, t in [*((side, frame) for side in view.sides), (view.uncorrected, 0)]:
+        points, normals, rgb = side.points_world[t], side.normals_world[t], side.pads_rgb
+        log = {
+            "points": rr.Points3D(points, colors=rgb, radii=_PAD_M),
+            "normals": rr.Arrows3D(origins=points, vectors=NORMAL_M * normals, colors=rgb, radii=_ARROW_M),
+        }
+        for name, shape in log.items():
+            recording.log(f"{path}/{side.role}/{name}", shape, static=True)
+    before, after = view.uncorrected.points_world[0], view.sides[-1].points_world[frame]
+    moves = rr.Arrows3D(origins=before, vectors=after - before, colors=(120, 120, 120), radii=_ARROW_M)
+    recording.log(f"{path}/moves", moves, static=True)
+
+
 def _log_series(recording: "rr.RecordingStream", times: list[Any], path: str, label: str, values: Array) -> None:
     import rerun as rr
 
@@ -177,6 +200,17 @@ def _blueprint(view: View) -> "rrb.Blueprint":
         for side in view.sides
         for camera in side.demonstration.depth_m
     ]
+    if view.uncorrected is not None:
+        middle = view.uncorrected.points_world[0].mean(axis=0)
+        near = rrb.EyeControls3D(
+            position=middle + 0.25 * view.uncorrected.towards_eye((1.0, 0.5, 0.3)), look_target=middle
+        )
+        images += [
+            rrb.Spatial3DView(
+                origin=CORRECTION, name="pads without the correction (amber), with it (red)", eye_controls=near
+            ),
+            rrb.TextDocumentView(origin=f"{CORRECTION}/words", name="correction"),
+        ]
     above = [*robots, rrb.Vertical(*images)] if images else robots
     below = [
         *(rrb.TimeSeriesView(origin=f"residuals/{key}", name=RESIDUALS[key]) for key in view.residuals),

@@ -9,6 +9,7 @@ from cei_envs.tasks.cube import TABLE_Z_M
 from cei_envs.tasks.placed import Placed
 from cei_gym.arrays import Array
 
+CABINET = Placed("cabinet", free=False)
 FRONT_X_M = (0.06, 0.12)
 PLACEMENT_Y_M = 0.08
 YAW_RAD = 0.25
@@ -51,17 +52,12 @@ class OpenDrawerEnv(CEIEnv):
 
     task: ClassVar[str] = "OpenDrawer"
     task_text: ClassVar[str] = "Open the drawer."
-    state_names: ClassVar[tuple[str, ...]] = (
-        "cabinet.x_m",
-        "cabinet.y_m",
-        "cabinet.yaw_rad",
-        "drawer.opening_m",
-    )
+    state_names: ClassVar[tuple[str, ...]] = (*CABINET.state_names, "drawer.opening_m")
 
     def make_robosuite(self, **robot_arguments: Any) -> Any:
         from cei_envs.tasks.tabletop import Tabletop
 
-        return Tabletop([Placed("cabinet", free=False)], **robot_arguments)
+        return Tabletop([CABINET], **robot_arguments)
 
     def workspace_world(self) -> Array:
         return np.array([[-0.35, -0.35, TABLE_Z_M + 0.004], [0.35, 0.35, TABLE_Z_M + 0.45]])
@@ -71,15 +67,11 @@ class OpenDrawerEnv(CEIEnv):
         return np.array([x, y, rng.uniform(-YAW_RAD, YAW_RAD), 0.0])
 
     def apply_state(self, state: Array) -> None:
-        x, y, yaw, opening = state
-        cabinet = self.model.body("cabinet_main")
-        cabinet.pos[:] = [x, y, TABLE_Z_M]
-        cabinet.quat[:] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
-        self.simulation.data.joint("cabinet_slide").qpos[:] = opening
+        CABINET.apply(self.simulation, state[:3])
+        self.simulation.data.joint("cabinet_slide").qpos[:] = state[3]
 
     def read_state(self) -> Array:
-        cabinet = self.model.body("cabinet_main")
-        return np.array([*cabinet.pos[:2], 2 * np.arctan2(cabinet.quat[3], cabinet.quat[0]), self._opening_m])
+        return np.array([*CABINET.read(self.simulation), self._opening_m])
 
     def begin(self) -> None:
         self._widest = 0.0

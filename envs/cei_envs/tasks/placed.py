@@ -19,11 +19,13 @@ class Placed:
         free: whether it may be moved; else it is fixed to the table at a place and heading that a start gives.
         description: its MJCF, of one body and as robosuite has its objects: a path, or `package://<Python package>/...`; default:
             `assets/<name>.xml`.
+        z_m: height of its origin, world, if it is not free.
     """
 
     name: str
     free: bool = True
     description: str | None = None
+    z_m: float = TABLE_Z_M
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -50,7 +52,7 @@ class Placed:
             simulation.data.qpos[self._qpos(simulation.model)] = state
             return
         body, (x_m, y_m, yaw_rad) = simulation.model.body(self._body), state
-        body.pos[:] = [x_m, y_m, TABLE_Z_M]
+        body.pos[:] = [x_m, y_m, self.z_m]
         body.quat[:] = [np.cos(yaw_rad / 2), 0, 0, np.sin(yaw_rad / 2)]
 
     def T_world(self, simulation: Simulation) -> Array:

@@ -1,4 +1,4 @@
-"""Position servos for joints that no controller of robosuite's drives: gains by rule, from the inertia that each joint feels."""
+"""Position servos for joints that no controller drives: gains by rule, from the inertia that each joint feels."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from cei_gym.arrays import Array
-from cei_gym.embodiment import Embodiment
+from cei_gym.embodiment.embodiment import Embodiment
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,21 @@ class Drive:
     kv: float
     limit: float
     limit_from: str
+
+    def add_to(self, spec: mujoco.MjSpec, name: str) -> None:
+        """Give the joint of this name in a scene its rotor and a servo, which has the same name."""
+        spec.joint(name).armature = self.armature
+        spec.add_actuator(
+            name=name,
+            target=name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            gainprm=[self.kp, *[0.0] * 9],
+            biasprm=[0.0, -self.kp, -self.kv, *[0.0] * 7],
+            forcelimited=self.limit > 0,
+            forcerange=[-self.limit, self.limit],
+        )
 
     def row(self) -> dict[str, Any]:
         """As JSON types, to six digits."""

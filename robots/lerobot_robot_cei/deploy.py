@@ -1,0 +1,127 @@
+"""`cei-deploy`: what a robot must offer for a checkpoint to act on it, and a copy of the checkpoint that knows the lab's own cameras."""
+
+import json
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cei_converters.cli import run
+from cei_converters.cli.options import check_overwrite
+from cei_converters.cli.outputs import JSON, Outputs
+from cei_converters.cli.result import write_json
+from cei_converters.dataset.place import absent, check_parent
+from cei_converters.sources.calibration import FORMAT, Calibration, load_calibration
+from cei_gym.errors import CEIError
+from cei_gym.untrusted import load_json
+from lerobot_robot_cei.trained_on import STEP, STEPS_PATH, TrainedOn
+
+EXAMPLE = f"""example:
+  cei-deploy --policy=outputs/train/checkpoints/last/pretrained_model
+  cei-deploy --policy=outputs/train/checkpoints/last/pretrained_model --calibration=cameras.yaml --new_policy=outputs/on_our_robot
+
+{FORMAT}"""
+
+
+@dataclass
+class DeployConfig:
+    """Say what a robot must offer for a policy to act on it; with --calibration, copy its checkpoint with the robot's own cameras in it."""
+
+    policy: Path  # Its checkpoint, .../pretrained_model.
+    calibration: Path | None = None  # Where the robot's own cameras, base and workspace are; see below.
+    new_policy: Path | None = None  # Folder for the copy that knows them.
+    json: Path | None = None  # File for what a robot must offer, as JSON.
+    overwrite: bool = False  # Replace a JSON file that is there already; never a checkpoint.
+
+    def __post_init__(self) -> None:
+        check_overwrite(self.overwrite, self.json)
+        if (self.calibration is None) != (self.new_policy is None):
+            raise CEIError("--calibration and --new_policy go together: the copy is what knows the calibration.")
+
+
+def deploy(config: DeployConfig) -> TrainedOn:
+    """Print what a robot must offer, and make the copy.
+
+    Raises:
+        CEIError: the checkpoint says nothing of a robot, the calibration does not fit it, or the new folder is there already.
+    """
+    result = Outputs(config.overwrite).file("--json", config.json, JSON)
+    known = TrainedOn.load(config.policy)
+    if config.calibration is not None and config.new_policy is not None:
+        calibration = load_calibration(config.calibration)
+        names = [camera.name for camera in known.metadata.scene.cameras]
+        if extra := [camera.name for camera in calibration.cameras if camera.name not in names]:
+            raise CEIError(
+                f"{config.calibration.name} has camera {', '.join(extra)}; the policy's clouds are of {', '.join(names)}, one for each."
+            )
+        known = known.seen_by(calibration)
+        _copy(config.policy, absent(config.new_policy), known)
+        print(
+            f"Copied to {config.new_policy}, with {', '.join(what_is_said(calibration))} of {config.calibration.name}."
+        )
+    for line in needs(known):
+        print(line)
+    write_json(result, known.encode())
+    return known
+
+
+def needs(known: TrainedOn) -> list[str]:
+    """What a robot must offer, a line each."""
+    embodiment, scene = known.embodiment(), known.metadata.scene
+    lower, upper = embodiment.lower, embodiment.upper
+    lines = [f"{embodiment.name}, {known.fps:g} actions a second (lerobot-rollout --fps={known.fps:g})."]
+    lines.append("Joints, by name in any order (--robot.type=cei); those in brackets follow and need not be there:")
+    for q, name in enumerate(embodiment.joint_names):
+        unit = embodiment.joint_units[q]
+        shown = f"{name}.pos" if q in embodiment.coupled.independent else f"({name}.pos)"
+        starts = " or ".join(f"{start[q]:.3f}" for start in known.starts)
+        lines.append(f"  {shown}  {lower[q]:.3f} to {upper[q]:.3f} {unit}, starts at {starts}")
+    if known.cloud_shape is None:
+        return [*lines, "No clouds: it was trained on something else."]
+    for camera in scene.cameras:
+        place = np.round(camera.T_world_camera[:3, 3], 3).tolist()
+        lines.append(
+            f"Depth {camera.name}_depth, {camera.width}x{camera.height}, whole mm; the camera stands at {place} m, the robot's base at "
+            f"{np.round(scene.T_world_base[:3, 3], 3).tolist()} m."
+        )
+    low, high = scene.workspace_world.round(3).tolist()
+    return [*lines, f"Looked at: the box from {low} to {high} m, whose floor lies just above the table."]
+
+
+def what_is_said(calibration: Calibration) -> list[str]:
+    """What a calibration says something of."""
+    said = [f"camera {camera.name}" for camera in calibration.cameras]
+    return said + [name for name in ("workspace_world", "T_world_base") if getattr(calibration, name) is not None]
+
+
+def _copy(policy: Path, new_policy: Path, known: TrainedOn) -> None:
+    """A checkpoint's files, its step with what is known now."""
+    if not (policy / STEPS_PATH).is_file():
+        raise CEIError(f"{policy} is no checkpoint (with {STEPS_PATH}); nothing to copy.")
+    check_parent(new_policy)
+    new_policy.parent.mkdir(parents=True, exist_ok=True)
+    steps = load_json((policy / STEPS_PATH).read_text())
+    for step in steps["steps"]:
+        if step.get("registry_name") == STEP:
+            step["config"]["trained_on"] = known.encode()
+    with tempfile.TemporaryDirectory(
+        dir=new_policy.parent, prefix=f".{new_policy.name}-"
+    ) as folder:  # whole, or not at all
+        made = Path(folder) / "made"
+        made.mkdir()
+        for path in sorted(policy.iterdir()):
+            if path.is_file():
+                shutil.copyfile(path, made / path.name)
+        (made / STEPS_PATH).write_text(json.dumps(steps, indent=2) + "\n")
+        made.rename(new_policy)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `cei-deploy`."""
+    return run(DeployConfig, deploy, args, prog="cei-deploy", example=EXAMPLE)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
