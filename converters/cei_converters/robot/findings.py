@@ -32,12 +32,12 @@ def of_spec(spec: ArmSpec | EndEffectorSpec) -> list[Finding]:
     return check_arm(spec) if isinstance(spec, ArmSpec) else check_end_effector(spec)
 
 
-def of_yaml(path: Path) -> list[Finding]:
-    """What is to say of a YAML; that it cannot be read, at least."""
+def of_yaml(path: Path, name: str) -> list[Finding]:
+    """What is to say of a YAML that will be called `name`; that it cannot be read, at least."""
     try:
         return of_spec(load_part(path))
     except CEIError as error:
-        return [Finding(True, str(error))]
+        return [Finding(True, str(error).replace(path.name, name))]
 
 
 def print_findings(findings: Sequence[Finding]) -> None:

@@ -1,9 +1,11 @@
 """`cei-robot new`: a YAML from a robot's description."""
 
 import os
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from cei_converters import signals
 from cei_converters.cli import run
 from cei_gym import extras
 from cei_gym.errors import CEIError
@@ -64,15 +66,20 @@ def new(config: NewConfig) -> None:
     proposals = propose(
         config.description, Path.cwd(), config.as_, config.name, config.root, arguments, named=make_room
     )
-    for proposal in proposals:
-        file = files[proposal.spec.name]
-        path = file.path
-        with file.whole() as partial:
-            partial.write_text(yaml_of(with_description(proposal, _from(path.parent, config.description))))
-        _tell(path, proposal.spec, proposal.embodiment, proposal.unsure, proposal.notes)
-        print_findings(of_yaml(path))
+    with ExitStack() as unpublished:
+        for proposal in proposals:
+            file = files[proposal.spec.name]
+            partial = unpublished.enter_context(file.whole())
+            described = with_description(proposal, _from(file.path.parent, config.description))
+            partial.write_text(yaml_of(described))
+            findings = of_yaml(partial, file.path.name)
+            _tell(file.path, proposal.spec, proposal.embodiment, proposal.unsure, proposal.notes)
+            print_findings(findings)
+        with signals.held():  # all of them or none: what takes its time is done
+            unpublished.close()
     names = [proposal.spec.name for proposal in proposals]
-    print(f"\nLook at it: cei-robot show {files[names[0]]}")
+    print(f"\nWrote {' and '.join(str(files[name]) for name in names)}.")
+    print(f"Look at it: cei-robot show {files[names[0]]}")
     if str(folder) not in os.environ.get(FOLDERS, "").split(os.pathsep):
         print(f"To use {' and '.join(names)} by name: export {FOLDERS}={folder.resolve()}")
 
@@ -102,7 +109,7 @@ def _tell(path: Path, spec, embodiment, unsure: dict[str, str], notes: list[str]
     from cei_converters.cli.table import print_table
     from cei_gym.embodiment import ArmSpec
 
-    print(f"\nWrote {path}")
+    print(f"\n{path}")
     rows = zip(
         embodiment.joint_names, embodiment.lower, embodiment.upper, embodiment.home, embodiment.closed,
         embodiment.max_velocity, embodiment.joint_units, strict=True,
