@@ -105,7 +105,7 @@ LAYERS = {
         *("errors", "arrays", "compiled", "extras", "plugins", "untrusted", "untrusted_xml", "absent", "channels"),
         *("displacement", "demonstration"),
         *("embodiment", "rendering", "environment", "kinematics", "functional", "pointcloud", "alignment"),
-        *("augmentation", "transfer", "twin", "impersonation", "wrapper", "onboarding"),
+        *("augmentation", "transfer", "twin", "painting", "impersonation", "wrapper", "onboarding"),
     ],
     "cei_gym.onboarding": [
         *(
@@ -147,6 +147,7 @@ LAYERS = {
         *("options", "evidence", "shape", "hold", "seen", "complete", "fit", "hulls"),
         *("couplings", "robot", "scene", "play", "twin"),
     ],
+    "cei_gym.painting": ["view", "behind", "light", "carried", "calibrated", "painter"],
     "cei_gym.alignment": [
         *("registry", "options", "kernels", "grip", "manual", "problem", "links", "contact", "solvers", "judge"),
         *("retime", "follow", "start", "stream"),
@@ -176,8 +177,11 @@ LAYERS = {
             "augment",
             "gate",
             "survey",
+            "cameras",
             "episode",
+            "painting",
             "steps",
+            "encode",
         ),
         *(
             "shard",

@@ -16,9 +16,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cei_converters.conversion.encode import Encode
 from cei_converters.conversion.episode import Recorded
 from cei_converters.conversion.gate import Gate
-from cei_converters.conversion.steps import Encode, Judge, OnRecorded, Retarget
+from cei_converters.conversion.steps import Judge, OnRecorded, Retarget
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.columns import encode
 from cei_converters.dataset.encoded import encode_episode

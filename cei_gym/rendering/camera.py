@@ -55,20 +55,24 @@ class DepthCamera:
         geom_id = self._triangles.geom_id
         return self._render(data.geom_xmat[geom_id].reshape(-1, 3, 3), data.geom_xpos[geom_id])
 
-    def render_at(self, T_world_bodies: Array) -> dict[str, tuple[Array, Array]]:
-        """The same images with the model's bodies at the poses (nbody, 4, 4)."""
+    def render_at(
+        self, T_world_bodies: Array, cameras: Sequence[Camera] | None = None
+    ) -> dict[str, tuple[Array, Array]]:
+        """The same images with the model's bodies at the poses (nbody, 4, 4), by other cameras if they are given."""
         geom_id = self._triangles.geom_id
         T_world_body = T_world_bodies[self._model.geom_bodyid[geom_id]]
         R_world_body = T_world_body[:, :3, :3]
         p_world_geom = np.einsum("gij,gj->gi", R_world_body, self._model.geom_pos[geom_id]) + T_world_body[:, :3, 3]
         R_body_geom = Rotation.from_quat(self._model.geom_quat[geom_id], scalar_first=True).as_matrix()
-        return self._render(R_world_body @ R_body_geom, p_world_geom)
+        return self._render(R_world_body @ R_body_geom, p_world_geom, cameras)
 
-    def _render(self, R_world_geom: Array, p_world_geom: Array) -> dict[str, tuple[Array, Array]]:
+    def _render(
+        self, R_world_geom: Array, p_world_geom: Array, cameras: Sequence[Camera] | None = None
+    ) -> dict[str, tuple[Array, Array]]:
         triangles = self._triangles
         scale, shift = geom_scale(self._model, triangles.geom_id)
         images = {}
-        for camera in self.cameras:
+        for camera in self.cameras if cameras is None else cameras:
             R, p = camera.T_world_camera[:3, :3], camera.T_world_camera[:3, 3]
             inverse_depth = np.zeros((camera.height, camera.width))
             id_image = np.full(inverse_depth.shape, -1, dtype=np.int32)

@@ -1,7 +1,7 @@
 """`cei-convert`: one robot's LeRobot dataset becomes another's."""
 
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,7 @@ EXAMPLE = """example:
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa \\
       --min_quality=0.3 --flag=0.6 --push_to_hub --branch=iiwa
   cei-convert --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --calibration=cameras.yaml \\
-      --target=IIWA-Inspire --new_repo_id=me/real_iiwa
+      --target=IIWA-Inspire --new_repo_id=me/real_iiwa --cameras.paint
   cei-convert --dataset.repo_id=me/pick_panda --episodes=0 --target=UR5e-FourierRight --new_repo_id=me/pick_anywhere \\
       --augment.grid=10,10 --augment.range=0.2,0.2 --augment.rotation_deg=30
 
@@ -59,6 +59,7 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
     from cei_converters.conversion.converter import Converter
     from cei_converters.conversion.executors import warm_up
     from cei_converters.conversion.outcomes import residuals, summarise_conversion
+    from cei_converters.conversion.painting import in_words
     from cei_converters.conversion.plan import Plan, to_begin_anew
     from cei_converters.conversion.planned import planned
     from cei_converters.conversion.staging import StagingDirectory
@@ -89,7 +90,9 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
         for name, notes in notes_on_robots(converter).items():
             print("\n".join(f"note: {name}: {note}" for note in notes))
         reader.check_videos(sorted(set(converter.selected)))
-        print("\n".join([about_cameras(reader, bool(converter.cameras), bool(config.steps)), *about_columns(reader)]))
+        painting, shown = converter.painting, bool(converter.cameras)
+        about = about_cameras(reader, shown, bool(config.steps), painting is not None)
+        print("\n".join([about, *about_columns(reader)]))
         if isinstance(reader.metadata, Remains):
             print(
                 f"{reader.repo_id} was edited by a tool that lost how it came about: its license is not carried over, nor what was "
@@ -111,6 +114,11 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             reader.set_table(table_z_m, LOWEST)
             config = replace(config, table_z_m=table_z_m)
             progress.console.print(about_table(table_z_m), highlight=False, soft_wrap=True)
+        agreed = {}
+        if painting is not None:
+            progress.reset(task, total=None, description="looking at pictures")
+            agreed = painting.look()
+            progress.console.print(in_words(agreed, config.target), highlight=False, soft_wrap=True)
         stand(config, place, begun, converter, progress, task)
         progress.reset(task, total=sum(frames), description="choosing the start")
         plan = planned(config, place, begun, converter, content, progress, task)
@@ -130,7 +138,8 @@ def convert(config: ConvertConfig) -> dict[str, Any]:
             "root": None if config.dry_run else str(place.root),
             "dry_run": config.dry_run,
             "depth_cameras": list(reader.depth_cameras),
-            "passed_through": list(converter.cameras),
+            "passed_through": [] if painting is not None else list(converter.cameras),
+            "painted": {key: asdict(of) for key, of in agreed.items()},
             "carried_features": list(reader.carried),
             "dropped_features": reader.dropped,
             "table": {"z_m": reader.scene.support_z_m, "said_by": reader.table_from},

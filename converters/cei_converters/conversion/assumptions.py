@@ -7,8 +7,8 @@ if TYPE_CHECKING:
     from cei_converters.sources.source import Source as Recorded
 
 
-def about_cameras(reader: "Recorded", pass_through: bool, steps: bool) -> str:
-    """One line: what becomes of the dataset's cameras, whose pictures pass through or not, and which steps that packages add may paint."""
+def about_cameras(reader: "Recorded", pass_through: bool, steps: bool, painted: bool = False) -> str:
+    """One line: what becomes of the dataset's cameras, whose pictures pass through or not, are painted, or may be by steps that packages add."""
     if reader.depth_cameras:
         clouds = f"Clouds are made from the depth of {', '.join(reader.depth_cameras)}"
     elif reader.has_clouds:
@@ -19,6 +19,8 @@ def about_cameras(reader: "Recorded", pass_through: bool, steps: bool) -> str:
         return clouds + "."
     if not pass_through:
         return f"{clouds}; left out, as they show objects where they were recorded: {', '.join(reader.cameras)}."
+    if painted:
+        return f"{clouds}; painted: {', '.join(reader.cameras)}."
     unless = ", unless a step paints others" * steps
     return (
         f"{clouds}; passed through untouched, so they still show the source robot{unless}: {', '.join(reader.cameras)}."

@@ -6,6 +6,7 @@ from pathlib import Path
 from cei_converters.cli import DatasetConfig
 from cei_converters.cli.options import check_of_use, check_overwrite, check_range, parse_episodes, parse_pose
 from cei_converters.conversion.augment import AugmentOptions
+from cei_converters.conversion.cameras import CameraOptions
 from cei_converters.conversion.evidence import EvidenceOptions
 from cei_converters.conversion.executors import NAMES as EXECUTORS
 from cei_converters.conversion.executors import SlurmOptions, check_executor
@@ -32,7 +33,7 @@ class ConvertConfig:
     new_root: Path | None = None  # Its folder, which must not exist; default: LeRobot's cache.
     source: str | None = None  # Embodiment of a dataset that does not say it (no meta/cei.json).
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
-    calibration: Path | None = None  # YAML with the depth cameras of a dataset; it wins over meta/cei.json. See above.
+    calibration: Path | None = None  # YAML with the cameras of a dataset; it wins over meta/cei.json. See above.
     joint_map: Path | None = None  # YAML that tells which columns of a dataset are which joints. See above.
     check_clouds: bool = True  # Refuse clouds that do not show the source where its joints say.
     table_z_m: float | None = None  # World, m; default: the workspace's floor, else the source's lowest point.
@@ -63,6 +64,7 @@ class ConvertConfig:
     contact: ContactOptions = field(default_factory=ContactOptions)
     transfer: TransferOptions = field(default_factory=TransferOptions)
     clouds: CloudOptions = field(default_factory=CloudOptions)
+    cameras: CameraOptions = field(default_factory=CameraOptions)  # Pictures: which, and with which robot in them.
     augment: AugmentOptions = field(default_factory=AugmentOptions)  # Objects elsewhere, with --augment.grid.
     verify: VerifyOptions = field(default_factory=VerifyOptions)  # Replay and retry, with --verify.
     refine: RefineOptions = field(default_factory=RefineOptions)  # Search how to take hold by rollouts, with --refine.
@@ -94,6 +96,11 @@ class ConvertConfig:
             )
         if self.evidence.enabled and self.augment.enabled:
             raise CEIError("--evidence needs what cameras saw of objects, which --augment.* moves; leave one out.")
+        if self.augment.enabled and (self.cameras.paint or self.cameras.keep):
+            option = "paint" if self.cameras.paint else "keep"
+            raise CEIError(
+                f"--augment.* moves objects, which pictures do not show, so that none are kept; leave out --cameras.{option}."
+            )
         if self.augment.enabled and not self.clouds.swap:
             raise CEIError(
                 "--clouds.swap=false keeps the source in the clouds, which --augment.* cannot move; leave one out."
@@ -149,6 +156,8 @@ def _idle(config: ConvertConfig) -> dict[str, str]:
     if not config.clouds.swap:
         put_in = ("robot_share", "robot_points", "voxel_m", "seen_only")
         idle |= dict.fromkeys((f"clouds.{name}" for name in put_in), "with --clouds.swap=false, which puts no robot in")
+    if not config.cameras.paint:
+        idle["cameras.margin_px"] = "without --cameras.paint"
     if config.augment.rotation_deg == 0:
         idle["augment.seed"] = "without --augment.rotation_deg"
     if config.augment.objects != "state":

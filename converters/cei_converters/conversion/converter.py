@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Any, Self
 from cei_converters.cli.options import parse_episodes, parse_pose
 from cei_converters.conversion.agreement import check_clouds
 from cei_converters.conversion.augment import Augmentation
+from cei_converters.conversion.cameras import NOT_KEPT
 from cei_converters.conversion.config import AUTO, ConvertConfig
+from cei_converters.conversion.encode import Encode
 from cei_converters.conversion.episode import Converted
 from cei_converters.conversion.evidence import Witness
 from cei_converters.conversion.ordered_map import in_background, ordered_map
+from cei_converters.conversion.painting import Painting
 from cei_converters.conversion.placing import PLACE_EPISODES, sample
-from cei_converters.conversion.steps import Encode, Judge, OnRecorded, OnRetargeted, Read, Retarget, make_steps
+from cei_converters.conversion.steps import Judge, OnRecorded, OnRetargeted, Read, Retarget, make_steps
 from cei_converters.conversion.verify import Verifier, open_stage
 from cei_converters.dataset import schema
 from cei_converters.dataset.carried import with_objects_moved
@@ -49,7 +52,8 @@ class Converter:
     Attributes:
         reader: of the dataset.
         selected: episodes to convert; each as often as augmentation asks for.
-        cameras: LeRobot's features of cameras whose pictures pass through; none where objects are moved, which pictures do not show.
+        cameras: LeRobot's features of cameras whose pictures are kept; none where objects are moved, which pictures do not show.
+        painting: who paints the target in them, if that is asked for.
         transfer: what moves them; to be fitted first, by `fit` or `start_from`.
         target_pose: as the option has it, of the target's base; None where the source's is. To be said first, by `stand`, where it is
             searched.
@@ -75,6 +79,8 @@ class Converter:
             config.contact,
             config.clouds,
         )
+        kept = config.cameras.kept([*self.reader.cameras])
+        self.reader.keep_cameras(kept, NOT_KEPT)
         augmentation, self.cameras = None, self.reader.cameras
         if config.augment.enabled:
             augmentation, self.cameras = Augmentation(config.augment, self.reader, self.transfer), {}
@@ -95,8 +101,14 @@ class Converter:
             then=on_recorded,
         )
         witness = Witness(self.transfer, config.evidence) if config.evidence.enabled else None
+        self.painting = (
+            Painting(self.reader, self.transfer, self.cameras, self.selected, config.cameras)
+            if config.cameras.paint
+            else None
+        )
         modes, mode = config.init.modes, config.init.mode
-        self._retarget = Retarget(self.transfer, None, modes, stored, on_retargeted, mode, witness)
+        painting = self.painting if stored else None
+        self._retarget = Retarget(self.transfer, None, modes, stored, on_retargeted, mode, witness, painting)
         self._judge = Judge(config.gate, config.allow_unreachable, config.drop_strays, config.evidence.drop)
         self._encode = Encode(
             self.reader,

@@ -1,5 +1,6 @@
 """An episode on its way through a conversion: recorded, retargeted, judged, converted; each stage is whole, or is not made."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
@@ -51,6 +52,7 @@ class Retargeted:
         pictures: what cameras saw, frame by frame of the target's demonstration, or what a step has painted.
         carried: what else there is of these frames.
         evidence: what a twin of the recording says, if it was asked.
+        painted: feature of each camera that shows the target, to how it was painted (`cei_gym.painting.Figures.record`).
 
     Raises:
         CEIError: pictures or columns are not of as many frames as the demonstration.
@@ -64,6 +66,7 @@ class Retargeted:
     pictures: Pictures = field(default_factory=Pictures)
     carried: Carried = field(default_factory=Carried)
     evidence: Evidence | None = None
+    painted: Mapping[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
 
     def __post_init__(self) -> None:
         frames = len(self.demonstration)

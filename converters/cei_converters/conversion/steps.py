@@ -1,4 +1,4 @@
-"""The steps of a conversion, from an episode's place to what is stored of it: read, augment, retarget (and verify), judge, encode.
+"""The steps of a conversion, from an episode's place to what is judged: read, augment, retarget (and verify), judge; `encode` is the last.
 
 Packages add steps by the entry point group `cei_gym.steps`, and `--steps` has them run, in the workers: those that change what is
 recorded (`OnRecorded`) after augmentation, those that change what is retargeted (`OnRetargeted`) before it is judged: its demonstration, its
@@ -8,22 +8,13 @@ pictures.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from cei_converters.conversion.augment import Augmentation
-from cei_converters.conversion.episode import Converted, Judged, Outcome, Recorded, Retargeted, Worst
+from cei_converters.conversion.episode import Judged, Recorded, Retargeted
 from cei_converters.conversion.gate import ANOTHER_WAY, DROPPED, FAILS_IN_TWIN, FLAGGED, LOW_QUALITY, Gate
-from cei_converters.conversion.reach import check_reached
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.carried import Carried
-from cei_converters.dataset.columns import encode
-from cei_converters.dataset.encoded import EncodedEpisode, encode_episode
-from cei_converters.dataset.metadata import plain
-from cei_converters.dataset.picture_encoding import encode_pictures
-from cei_converters.dataset.writer import Header
 from cei_gym import plugins
 from cei_gym.alignment.judge.quality import assess
 from cei_gym.errors import CEIError
@@ -31,14 +22,13 @@ from cei_gym.twin.evidence import FAILS
 
 if TYPE_CHECKING:
     from cei_converters.conversion.evidence import Witness
+    from cei_converters.conversion.painting import Painting
     from cei_converters.conversion.verify import Verifier
     from cei_converters.sources.source import Source
     from cei_gym.transfer import Transfer
 
 GROUP = "cei_gym.steps"
 """Entry points of steps that packages offer."""
-_TRACES = ("pad_distance_mm", "normal_angle_deg")
-_OF_THE_SOURCE = ("verified", "evidence", "source_frames", "flagged", "offset", "painted")
 
 
 class Step:
@@ -152,6 +142,7 @@ class Retarget:
         then: steps that packages add, in their order.
         mode: the one motion that all episodes take instead.
         witness: who asks a twin of the recording, if that is asked for; not beside a verifier.
+        painting: who paints the target in pictures, if that is asked for.
     """
 
     transfer: "Transfer"
@@ -161,6 +152,7 @@ class Retarget:
     then: Sequence[OnRetargeted]
     mode: int | None = None
     witness: "Witness | None" = None
+    painting: "Painting | None" = None
 
     def __call__(self, recorded: Recorded) -> Retargeted:
         # motions take turns: a dataset is an even mixture
@@ -174,6 +166,8 @@ class Retarget:
         frames = moved.source_frames
         pictures, carried = recorded.pictures.at(frames), recorded.carried.at(frames)
         made = Retargeted(recorded, mode, moved, report, verdict, pictures, carried, evidence)
+        if self.painting is not None:
+            made = self.painting(made)
         for step in self.then:
             made = step(made)
         return made
@@ -214,87 +208,3 @@ class Judge:
         if self.drop_failing and made.evidence is not None and made.evidence.answer == FAILS:
             return FAILS_IN_TWIN
         return LOW_QUALITY if decision == DROPPED else ""
-
-
-@dataclass(frozen=True)
-class Encode:
-    """Goes from what is judged to what is stored of it.
-
-    Attributes:
-        reader: what episodes are read from.
-        target: name of the embodiment.
-        state_key: LeRobot's feature that the state of objects becomes.
-        modes: distinct motions, which episodes take in turn.
-        allow_unreachable: whether frames out of reach are kept.
-        scratch: folder for files that are removed again; None if nothing is stored.
-    """
-
-    reader: "Source"
-    target: str
-    state_key: str
-    modes: int
-    allow_unreachable: bool
-    scratch: Path | None
-
-    def __call__(self, judged: Judged) -> Converted:
-        outcome = self._outcome(judged)
-        header = Header.of(judged.retargeted.demonstration, self.state_key)
-        encoded = None
-        if self.scratch is not None and not judged.left_out:
-            if not self.allow_unreachable:
-                check_reached(self.target, [outcome.entry])
-            encoded = self._encoded(judged.retargeted, header, self.scratch)
-        return Converted(outcome, header, encoded)
-
-    def _encoded(self, made: Retargeted, header: Header, scratch: Path) -> EncodedEpisode:
-        moved = made.demonstration
-        own = encode_episode(encode(moved, self.state_key), header.features, moved.task)
-        pictures = encode_pictures(made.pictures, moved.fps, scratch)
-        return own.joined(made.carried.encode(self.reader.carried)).joined(pictures)
-
-    def _outcome(self, judged: Judged) -> Outcome:
-        made, quality = judged.retargeted, judged.quality
-        moved, report, verdict, recorded = made.demonstration, made.report, made.verdict, made.recorded
-        summary = report.summary() | ({"mode": made.mode} if self.modes > 1 else {})
-        offset = {} if recorded.offset is None else {"offset": plain(recorded.offset)}
-        figures = recorded.demonstration.figures
-        entry = {
-            "episode": recorded.index,
-            **offset.get("offset", {}),
-            "frames": len(moved),
-            **figures,
-            **summary,
-            "quality": quality.score,
-            "weakest": quality.weakest,
-        }
-        known = {
-            name: value for name, value in self.reader.record(recorded.index).items() if name not in _OF_THE_SOURCE
-        }
-        record = {
-            **known,
-            "source_episode": recorded.index,
-            **offset,
-            "quality": {"score": quality.score, "parts": quality.parts},
-            **({"flagged": True} if judged.flagged else {}),
-            **({} if verdict is None else {"verified": verdict.record()}),
-            **({} if made.evidence is None else {"evidence": made.evidence.record()}),
-            **({} if moved.source_frames is None else {"source_frames": moved.source_frames.tolist()}),
-            **({"painted": sorted(made.pictures.painted)} if made.pictures.painted else {}),
-            **figures,
-            "alignment": summary,
-        }
-        worst = quality.frame
-        of_source = worst if moved.source_frames is None else moved.source_frames[worst]
-        cut = recorded.demonstration.source_frames
-        if cut is not None:  # by a step: where it shows that frame
-            of_source = np.flatnonzero(cut == of_source)[0]
-        return Outcome(
-            plain(entry),
-            plain(record),
-            plain({"episode": recorded.index} | {name: getattr(report, name) for name in _TRACES}),
-            Worst(worst, plain(recorded.demonstration.qpos[of_source]), plain(moved.qpos[worst])),
-            verdict,
-            judged.left_out,
-            made.mode,
-            plain(moved.qpos[0]),
-        )

@@ -9,7 +9,7 @@ import numpy as np
 
 from cei_converters.dataset import schema
 from cei_converters.dataset.card_markdown import flat, listed, markdown_table
-from cei_converters.dataset.card_records import augmented, evidence, quality, verified
+from cei_converters.dataset.card_records import augmented, evidence, painting, quality, verified
 from cei_converters.dataset.license import CARD_PATH, FIELDS, license_files
 from cei_converters.dataset.metadata import METADATA_PATH, Metadata, Source
 from cei_converters.dataset.records import RECORDS_PATH, Records
@@ -119,10 +119,10 @@ def _cameras(metadata: Metadata, info: dict[str, Any], records: Records) -> str:
             f"{shown}, not {metadata.embodiment}**."
         )
     for key, count in sorted(painted.items()):
+        of = [record["painting"][key] for record in records if key in record.get("painting", ())]
         steps = listed(metadata.provenance.options.get("steps") or ())
-        text += (
-            f" In {count} of {len(records)} episodes pictures of `{key}` were painted, by steps of a package ({steps})."
-        )
+        by = painting(metadata.embodiment, of) if of else f"by steps of a package ({steps})."
+        text += f" In {count} of {len(records)} episodes pictures of `{key}` were painted, {by}"
     stretched = sum("source_frames" in record for record in records)
     if stretched and "video" in dtypes.values():
         text += (

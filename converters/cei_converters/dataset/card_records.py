@@ -2,8 +2,9 @@
 
 from array import array
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -131,3 +132,21 @@ def evidence(metadata: Metadata, records: Records) -> str:
         f"proof.{assumed} Per episode in `{RECORDS_PATH}`, under `evidence`.\n\n"
     )
     return text + markdown_table(("a converted episode", "episodes"), list(answers.items()))
+
+
+def painting(target: str, figures: Sequence[Mapping[str, Any]]) -> str:
+    """The end of a sentence: how pictures of episodes were painted, by the figures of each (`cei_gym.painting`)."""
+    mean = {name: float(np.mean([each[name] for each in figures])) for name in ("source", "pooled", "invented")}
+    light = [each["light_off"] for each in figures if each["light_off"] is not None]
+    carried, cut_out = (sum(each[name] for each in figures) for name in ("carried", "cut_out"))
+    return (
+        f"by geometry, without a network: the source, {100 * mean['source']:.1f} % of a picture, was taken out by its joints, {target} drawn in its "
+        f"place. {100 * mean['pooled']:.2f} % of a picture is from other episodes, {100 * mean['invented']:.2f} % inpainted, as no picture shows it. "
+        + (
+            f"The light is read from the source, to within {np.median(light):.0f} of 255. "
+            if light
+            else "The light is assumed. "
+        )
+        + (f"What is carried was cut out in {cut_out} of {carried} cases. " if carried else "Nothing is carried. ")
+        + "Shadows that the source throws stay, and the target throws none."
+    )

@@ -104,7 +104,10 @@ def _assumed(provenance: Provenance, metadata: Metadata, reader: DatasetReader) 
             said.append(f"They still show {source.embodiment} (--clouds.swap=false).")
     if reader.cameras:
         shown = ", ".join(reader.cameras)
-        said.append(f"Pictures of {shown} still show {source.embodiment}, unless a step has painted others.")
+        if mapping(provenance.options.get("cameras")).get("paint"):
+            said.append(f"In pictures of {shown} the target is painted over {source.embodiment}, by geometry.")
+        else:
+            said.append(f"Pictures of {shown} still show {source.embodiment}, unless a step has painted others.")
     evidence = mapping(provenance.options.get("evidence"))
     if evidence:
         density, friction = (one_line(evidence.get(name), 20) for name in ("density_kg_m3", "friction"))

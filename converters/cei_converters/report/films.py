@@ -73,7 +73,7 @@ class Films:
             seen = self._reader.pictures(view.sides[-1].demonstration.index).decode(key)
             panels.insert(0, [_scaled(seen[t], panels[0][0].shape[0]) for t in moments])
             labels.insert(0, key)
-            caption += f", beside what {key} saw: the source's robot, unless a step has painted others"
+            caption += f", beside what {key} saw: the source's robot, unless another was painted"
         return Film(_mp4(side_by_side(panels, labels), max(1, self._reader.fps / step)), f"{caption}.")
 
 

@@ -1,4 +1,4 @@
-"""Calibration of a dataset: where its depth cameras, its table and its robot's base are, from a YAML file."""
+"""Calibration of a dataset: where its cameras, its table and its robot's base are, from a YAML file."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from cei_gym.untrusted import load_yaml
 
 FORMAT = """a calibration (world z up, metres; T_world_camera maps camera to world, axes x right, y down, z forward); any part may be left out:
   cameras:
-    front:  # the last part of the depth feature's key
+    front:  # the last part of the key of depth, or of pictures to paint (--cameras.paint)
       width: 640
       height: 480
       K: {fx: 600.0, fy: 600.0, cx: 320.0, cy: 240.0}  # px; or 3x3
@@ -31,7 +31,7 @@ class Calibration:
     """What a file says of a scene; None where it says nothing.
 
     Attributes:
-        cameras: the depth cameras.
+        cameras: that stand still.
         workspace_world: (2, 3) lower and upper corner, metres.
         T_world_base: (4, 4) pose of the robot's base.
     """

@@ -143,7 +143,6 @@ class DatasetReader(Source):
         self.dropped |= dict.fromkeys(absent, "as the dataset is here without its videos") | carried.of_episodes(
             self._meta
         )
-        self._absent = frozenset(absent)
 
     def _without_videos(self) -> bool:
         """Whether videos were never published, or not downloaded; where some are missing, `find_clip` refuses it."""
@@ -243,7 +242,7 @@ class DatasetReader(Source):
         """
         for index in episodes:
             for key in self._meta.video_keys:
-                if key in self._absent:
+                if key not in (*self.cameras, *self._depth, *self._rgb.values()):
                     continue
                 find_clip(self.root, self._meta, index, key)
 

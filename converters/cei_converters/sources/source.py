@@ -167,6 +167,11 @@ class Source(ABC):
         """Say where the table is: its height in the world, m."""
         self.scene, self.table_from = replace(self.scene, table_z_m=z_m), said_by
 
+    def keep_cameras(self, keys: Sequence[str], reason: str) -> None:
+        """Have pictures of these cameras only; the others are dropped, for a reason."""
+        self.dropped |= {key: reason for key in self.cameras if key not in keys}
+        self.cameras = {key: feature for key, feature in self.cameras.items() if key in keys}
+
     def drop(self, names: Sequence[str], reason: str) -> None:
         """Carry features no more.
 

@@ -1,0 +1,166 @@
+"""How painted pictures differ from the true ones: the target's own simulation, with joints and objects as they are.
+
+usage: python benchmarks/pictures.py [--tasks PickCube,StackCube,OpenDrawer] [--targets UR5e-FourierRight,...] [--seeds 0,1] [--results FOLDER]
+
+The camera is known and the renderer the project's own. Shares are of pixels that are off by more than 10 of 255 in some channel. Parts of a picture: what the
+source covered and the target does not; the target; what is carried, from when it is taken; the rest. Pictures as they pass through unpainted, which
+show the source, stand beside. Seeds are those of development, below 1000.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from measure import save
+from PIL import Image
+from scipy import ndimage
+
+from cei_converters.simulation.environment import open_environment
+from cei_converters.simulation.rollout import record_episode
+from cei_gym.arrays import Array
+from cei_gym.demonstration import Demonstration
+from cei_gym.embodiment import load_embodiment
+from cei_gym.environment import robot_environment
+from cei_gym.painting import Carry, Painter, Plate, Shot, carries
+from cei_gym.painting.view import RobotView
+from cei_gym.transfer import Transfer
+
+SOURCE = "Panda-PandaGripper"
+TASKS = "PickCube,StackCube,OpenDrawer"
+TARGETS = "UR5e-FourierRight,IIWA-Inspire,Kinova3-FourierLeft,Panda-RobotiqThreeFinger"
+SIZE = {"image_width": 320, "image_height": 240}
+OFF, LAST_SEED, LOOKED_AT, SHOWN = 10, 999, 8, 6
+AWAY_M = 5.0
+FIGURE, SHEET = "pictures.json", "pictures.png"
+
+
+def record(task: str, seeds: list[int]) -> list[Demonstration]:
+    env = open_environment(f"CEI-{task}-{SOURCE}", colours=True, **SIZE)
+    found = [record_episode(env, seed, seed)[0] for seed in seeds]
+    env.close()
+    return found
+
+
+def true_pictures(env: Any, moved: Demonstration, frames: Array, states: Array) -> tuple[Array, Array]:
+    """(T, H, W, 3) uint8 as the target's simulation shows them, and (T, H, W) bool, where they show the first object that can be moved away."""
+    shown, without = [], []
+    for qpos, state in zip(moved.qpos, states[frames], strict=True):
+        away = state.copy()
+        away[1] += AWAY_M  # y of the first object, but of a drawer, which has none
+        for which, kept in ((state, shown), (away, without)):
+            env.reset(seed=0, options={"agent_pos": qpos, "environment_state": which})
+            kept.append(robot_environment(env).channels()["rgb"]["front"])
+    pictures = np.stack(shown)
+    return pictures, (pictures != np.stack(without)).any(axis=-1)
+
+
+def similarity(one: Array, other: Array) -> float:
+    """SSIM (Wang et al., 2004) of grey pictures, with a Gaussian window of 1.5 pixels."""
+    a, b = (picture.mean(axis=-1) for picture in (one, other))
+
+    def blur(image: Array) -> Array:
+        return ndimage.gaussian_filter(image, 1.5)
+
+    mean_a, mean_b = blur(a), blur(b)
+    var_a, var_b, both = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2, blur(a * b) - mean_a * mean_b
+    c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+    structure = (2 * mean_a * mean_b + c1) * (2 * both + c2) / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
+    return float(structure.mean())
+
+
+def decibels(one: Array, other: Array) -> float:
+    return float(10 * np.log10(255**2 / max(np.mean((one.astype(float) - other) ** 2), 1e-9)))
+
+
+def carried_in(transfer: Transfer, demonstration: Demonstration) -> list[Carry]:
+    handling, grip = transfer.handling(demonstration), transfer.motion(demonstration).grip
+    return carries(grip, 1 / demonstration.fps, handling.middle_world, handling.T_world_hand)
+
+
+def measure(task: str, target: str, demonstrations: list[Demonstration]) -> tuple[dict[str, Any], Array]:
+    """The figures of a task and a target, and rows of pictures: recorded, painted, true."""
+    source, body = load_embodiment(SOURCE), load_embodiment(target)
+    transfer = Transfer(source, body)
+    transfer.fit(demonstrations[:1])
+    scene = demonstrations[0].scene
+    base, camera = scene.T_world_base, scene.cameras[0]
+    painter = Painter(source, body, base, base, camera)
+    looked = [(d, t) for d in demonstrations for t in np.linspace(0, len(d) - 1, LOOKED_AT).round().astype(int)]
+    samples = np.stack([d.rgb["front"][t] for d, t in looked])
+    painter.plate = Plate.median(samples, painter.covered(np.stack([d.qpos[t] for d, t in looked])))
+    views = [RobotView(robot, base, camera) for robot in (source, body)]
+    env = open_environment(f"CEI-{task}-{target}", colours=True, **SIZE)
+    parts: dict[str, list[Array]] = {}
+    figures: dict[str, list[float]] = {"ssim": [], "psnr": [], "psnr_robot": [], "ms": []}
+    rows = np.empty(0)
+    for demonstration in demonstrations:
+        moved, _ = transfer(demonstration, clouds=False)
+        frames = np.arange(len(moved)) if moved.source_frames is None else moved.source_frames
+        states = demonstration.environment_state
+        assert states is not None
+        true, thing = true_pictures(env, moved, frames, states)
+        before, held = demonstration.rgb["front"], carried_in(transfer, demonstration)
+        shot = Shot(before, demonstration.qpos, held)
+        painter(shot, frames[:1], moved.qpos[:1])  # compiles
+        begun = time.process_time()
+        painted, _ = painter(shot, frames, moved.qpos)
+        figures["ms"].append(1e3 * (time.process_time() - begun) / len(moved))
+        was = np.stack([views[0].silhouette(q) for q in demonstration.qpos])[frames]
+        is_ = np.stack([views[1].silhouette(q) for q in moved.qpos])
+        wrong, left = (np.abs(each.astype(int) - true).max(axis=-1) > OFF for each in (painted, before[frames]))
+        since = min((each.taken for each in held), default=len(before))
+        thing &= (frames > since)[:, None, None]
+        old = was & ~is_ & wrong & (np.abs(painted.astype(int) - before[frames]).max(axis=-1) <= 2)
+        for name, part in {
+            "whole": wrong,
+            "uncovered": wrong[was & ~is_],
+            "robot": wrong[is_],
+            "held": wrong[thing],
+            "rest": wrong[~was & ~is_],
+            "unpainted": left,
+            "old_robot_left": old[was & ~is_],
+        }.items():
+            parts.setdefault(name, []).append(part.ravel())
+        figures["ssim"] += [similarity(a, b) for a, b in zip(painted, true, strict=True)]
+        figures["psnr"].append(decibels(painted, true))
+        figures["psnr_robot"].append(decibels(painted[is_], true[is_]))
+        chosen = np.linspace(0, len(moved) - 1, SHOWN).round().astype(int)
+        rows = np.concatenate(
+            [np.concatenate([each[t] for t in chosen], 1) for each in (before[frames], painted, true)]
+        )
+    env.close()
+    shares = {
+        name: float(joined.mean()) if len(joined := np.concatenate(each)) else None for name, each in parts.items()
+    }
+    return shares | {name: float(np.mean(each)) for name, each in figures.items()}, rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tasks", default=TASKS)
+    parser.add_argument("--targets", default=TARGETS)
+    parser.add_argument("--seeds", default="0,1")
+    parser.add_argument("--results", type=Path)
+    args = parser.parse_args()
+    seeds = [int(seed) for seed in args.seeds.split(",")]
+    if max(seeds) > LAST_SEED:
+        parser.error(f"seeds are those of development, up to {LAST_SEED}")
+    table, sheet = [], []
+    for task in args.tasks.split(","):
+        demonstrations = record(task, seeds)
+        for target in args.targets.split(","):
+            figures, rows = measure(task, target, demonstrations)
+            table.append({"task": task, "target": target, **figures})
+            print(task, target, {name: value and round(value, 4) for name, value in figures.items()}, flush=True)
+            sheet += [rows] if target == args.targets.split(",")[0] else []
+    if args.results is not None:
+        args.results.mkdir(parents=True, exist_ok=True)
+        picture = Image.fromarray(np.concatenate(sheet))
+        picture.resize((picture.width // 2, picture.height // 2)).save(args.results / SHEET)
+        save(args.results / FIGURE, {"table": table, "size": SIZE, "off": OFF}, SHEET, seeds=[seeds[0], seeds[-1]])
+
+
+if __name__ == "__main__":
+    main()

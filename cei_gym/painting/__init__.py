@@ -1,0 +1,11 @@
+"""Pictures that show another robot: the source taken out, what is behind it put in, the target drawn in the same light.
+
+Geometry alone, of a calibrated camera that stands still: no network, no weights. It needs OpenCV, which LeRobot brings (`cei-gym[lerobot]`).
+"""
+
+from cei_gym.painting.behind import Plate
+from cei_gym.painting.calibrated import Agreement, agreement
+from cei_gym.painting.carried import Carry, carries
+from cei_gym.painting.painter import Figures, Painter, Shot
+
+__all__ = ["Agreement", "Carry", "Figures", "Painter", "Plate", "Shot", "agreement", "carries"]
