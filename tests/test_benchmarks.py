@@ -141,6 +141,14 @@ def test_twin(tmp_path: Path) -> None:
     assert depends_on(tmp_path, "twin.json").seeds == (3, 503)
 
 
+def test_pictures(tmp_path: Path) -> None:
+    run("pictures.py", tmp_path, "--tasks=PickCube", "--targets=IIWA-Inspire", "--seeds=3")
+    (row,) = json.loads((tmp_path / "results/pictures.json").read_text())["table"]
+    assert row["whole"] < 0.005 < 0.05 < row["unpainted"]
+    assert (tmp_path / "results/pictures.png").exists()
+    assert depends_on(tmp_path, "pictures.json").seeds == (3, 3)
+
+
 def test_a_blind_control_has_its_folders_seeds(tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
     Manifest(tmp_path / "results", [Figure(("a.json",), "cei-benchmark replay", seeds=(3, 5))]).write()

@@ -8,8 +8,9 @@ from cei_gym.errors import CEIError
 _ALIGNMENT = tuple(
     f"cei_gym/{part}" for part in ("alignment/*", "embodiment/*", "functional/*", "kinematics/*", "compiled.py")
 )
-# The whole method, less what plays another robot's part live, and what only makes more of a demonstration.
-_METHOD = ("cei_gym/*", "!cei_gym/wrapper.py", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py")
+# The whole method, less what plays another robot's part live, what only makes more of a demonstration, and pictures, which no robot follows.
+_PICTURES, _LIVE = "!cei_gym/painting/*", ("!cei_gym/wrapper.py", "!cei_gym/impersonation.py")
+_METHOD = ("cei_gym/*", *_LIVE, "!cei_gym/augmentation.py", _PICTURES)
 _ENVIRONMENTS = ("envs/cei_envs/*",)
 # From an environment to demonstrations, by the scripted expert.
 _RECORDED = (*_ENVIRONMENTS, "converters/cei_converters/simulation/*")
@@ -17,6 +18,7 @@ _RECORDED = (*_ENVIRONMENTS, "converters/cei_converters/simulation/*")
 _CONVERSION = (
     *("converters/cei_converters/convert.py", "converters/cei_converters/conversion/*"),
     *("!converters/cei_converters/conversion/quality_picture.py", "!converters/cei_converters/conversion/outcomes.py"),
+    *("!converters/cei_converters/conversion/cameras.py", "!converters/cei_converters/conversion/painting.py"),
     *("converters/cei_converters/sources/*", "!converters/cei_converters/sources/robomimic*.py"),
     *("!converters/cei_converters/sources/robosuite.py", "!converters/cei_converters/sources/hdf5.py"),
     "!converters/cei_converters/sources/zarr_source.py",
@@ -39,21 +41,21 @@ _CLOUDS = ("cei_gym/pointcloud/*", "cei_gym/rendering/*", "cei_gym/embodiment/*"
 MEASURED: dict[str, tuple[str, ...]] = {
     "cei-benchmark replay": (*_METHOD, *_RECORDED, *_CONVERSION, _RECORD, _REPLAY, *_CELLS),
     "cei-benchmark policy": (
-        *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py"),
+        *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py", _PICTURES),
         *(*_RECORDED, *_CONVERSION, _RECORD, *_POLICY, "converters/cei_converters/benchmark/policy_stages.py"),
     ),
     "cei-benchmark real --stage=replay": (*_METHOD, *_RECORDED, *_CONVERSION, _RECORD, _REPLAY, *_CELLS, _REAL),
     "cei-benchmark real --stage=policy": (
-        *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py"),
+        *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py", _PICTURES),
         *(*_RECORDED, *_CONVERSION, _RECORD, *_POLICY, _REAL),
         *_of_benchmark("policy_stages", "own_clouds", "jobs"),
     ),
     "cei-benchmark anchors --stage=replay": (
-        *("cei_gym/*", "!cei_gym/wrapper.py", "!cei_gym/impersonation.py", *_RECORDED, *_CONVERSION, _RECORD, _REPLAY),
+        *("cei_gym/*", *_LIVE, _PICTURES, *_RECORDED, *_CONVERSION, _RECORD, _REPLAY),
         *_of_benchmark("policy_stages", "real_tasks", "jobs", "anchors_stages", "anchors_replay"),
     ),
     "cei-benchmark anchors --stage=policy": (
-        *("cei_gym/*", "!cei_gym/impersonation.py", *_RECORDED, *_CONVERSION, _RECORD, *_POLICY),
+        *("cei_gym/*", "!cei_gym/impersonation.py", _PICTURES, *_RECORDED, *_CONVERSION, _RECORD, *_POLICY),
         *_of_benchmark("policy_stages", "real_tasks", "jobs", "anchors_stages"),
     ),
     "cei-benchmark modes --stage=replay": (
@@ -61,13 +63,13 @@ MEASURED: dict[str, tuple[str, ...]] = {
         *_of_benchmark("real_tasks", "jobs", "modes_stages", "modes_replay"),
     ),
     "cei-benchmark modes --stage=policy": (
-        *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py"),
+        *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py", _PICTURES),
         *(*_RECORDED, *_CONVERSION, _RECORD, *_POLICY),
         *_of_benchmark("policy_stages", "real_tasks", "jobs", "modes_stages"),
     ),
     "benchmarks/alignment.py": (*_ALIGNMENT, *_RECORDED, "benchmarks/alignment.py", "benchmarks/others.py"),
     "benchmarks/augmentation.py": (
-        *("cei_gym/*", "!cei_gym/wrapper.py", "!cei_gym/impersonation.py"),
+        *("cei_gym/*", *_LIVE, _PICTURES),
         *(*_RECORDED, *_CONVERSION, _RECORD, "benchmarks/augmentation.py"),
     ),
     "benchmarks/blind_control.py": (*_RECORDED, "cei_gym/embodiment/*", "benchmarks/blind_control.py"),
@@ -75,11 +77,14 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "benchmarks/census.py": ("cei_gym/embodiment/*", "benchmarks/census.py"),
     "benchmarks/direction_weight.py": (*_METHOD, *_RECORDED, "benchmarks/direction_weight.py"),
     "benchmarks/first_frame.py": (*_ALIGNMENT, "benchmarks/first_frame.py"),
-    "benchmarks/impersonation.py": ("cei_gym/*", "!cei_gym/augmentation.py", *_RECORDED, "benchmarks/impersonation.py"),
+    "benchmarks/impersonation.py": (
+        *("cei_gym/*", "!cei_gym/augmentation.py", _PICTURES, *_RECORDED, "benchmarks/impersonation.py"),
+    ),
     "benchmarks/observation.py": (
         *(*_CLOUDS, "cei_gym/wrapper.py", *_ENVIRONMENTS, "benchmarks/observation.py", "benchmarks/measure.py"),
     ),
     "benchmarks/pads.py": ("cei_gym/embodiment/*", "cei_gym/functional/*", "cei_gym/rendering/*", "benchmarks/pads.py"),
+    "benchmarks/pictures.py": ("cei_gym/*", *_LIVE, "!cei_gym/augmentation.py", *_RECORDED, "benchmarks/pictures.py"),
     "benchmarks/scale.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/scale.py", "benchmarks/transfer.py"),
     "benchmarks/start_up.py": (
         *(*_CLOUDS, "cei_gym/__init__.py", "cei_gym/compiled.py", *_ENVIRONMENTS, "benchmarks/start_up.py"),
