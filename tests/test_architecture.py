@@ -147,7 +147,7 @@ LAYERS = {
         *("options", "evidence", "shape", "hold", "seen", "complete", "fit", "hulls"),
         *("couplings", "robot", "scene", "play", "twin"),
     ],
-    "cei_gym.painting": ["view", "behind", "light", "carried", "calibrated", "painter"],
+    "cei_gym.painting": ["view", "behind", "light", "carried", "calibrated", "painter", "camera_fit"],
     "cei_gym.alignment": [
         *("registry", "options", "kernels", "grip", "manual", "problem", "links", "contact", "solvers", "judge"),
         *("retime", "follow", "start", "stream"),
@@ -159,7 +159,7 @@ LAYERS = {
     ],
     "cei_converters": [
         *("signals", "start", "dataset", "cli", "simulation", "sources", "view", "inspection", "conversion"),
-        *("pads", "record", "replay", "convert", "restore", "report", "demo", "robot", "benchmark"),
+        *("pads", "record", "replay", "convert", "calibrate", "restore", "report", "demo", "robot", "benchmark"),
     ],
     "cei_converters.conversion": [
         *(

@@ -16,6 +16,7 @@ from cei_converters.benchmark.modes import ModesConfig
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
 from cei_converters.benchmark.real import RealBenchmarkConfig
 from cei_converters.benchmark.replay import ReplayBenchmarkConfig
+from cei_converters.calibrate import CalibrateConfig
 from cei_converters.cli import option_types
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.inspection.command import InspectConfig
@@ -45,6 +46,7 @@ OPTIONS = {
         "cei-report": ReportConfig,
         "cei-deploy": DeployConfig,
         "cei-restore": restore.RestoreConfig,
+        "cei-calibrate": CalibrateConfig,
         "cei-pads": PadsConfig,
         "cei-view": ViewConfig,
         "cei-robot new": NewConfig,

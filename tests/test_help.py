@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from cei_converters import convert, pads, record, replay, report, restore, view
+from cei_converters import calibrate, convert, pads, record, replay, report, restore, view
 from cei_converters.benchmark import command
 from cei_converters.benchmark.anchors import AnchorsConfig
 from cei_converters.benchmark.modes import ModesConfig
@@ -24,6 +24,7 @@ COMMANDS = {
     "inspect": (inspecting.main, ["--help"], inspecting.InspectConfig),
     "report": (report.main, ["--help"], ReportConfig),
     "restore": (restore.main, ["--help"], restore.RestoreConfig),
+    "calibrate": (calibrate.main, ["--help"], calibrate.CalibrateConfig),
     "pads": (pads.main, ["--help"], pads.PadsConfig),
     "view": (view.main, ["--help"], ViewConfig),
     "benchmark policy": (command.main, ["policy", "--help"], PolicyBenchmarkConfig),

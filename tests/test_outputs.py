@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cei_converters import convert, pads, record, replay, report, view
+from cei_converters import calibrate, convert, pads, record, replay, report, view
 from cei_converters.benchmark import command as benchmark
 from cei_converters.benchmark.policy import PolicyBenchmarkConfig
 from cei_converters.benchmark.real import RealBenchmarkConfig
@@ -88,6 +88,11 @@ COMMANDS: dict[str, tuple[Main, Callable[[Path], list[str]], type]] = {
     ),
     "replay": (replay.main, dataset, replay.ReplayConfig),
     "inspect": (inspecting.main, lambda source: [*dataset(source), f"--source={ROBOT}"], inspecting.InspectConfig),
+    "calibrate": (
+        calibrate.main,
+        lambda source: [*dataset(source), "--camera=front", "--output=cameras.yaml"],
+        calibrate.CalibrateConfig,
+    ),
     "pads": (pads.main, lambda _: ["--end_effector=PandaGripper", "--output=pads.png"], pads.PadsConfig),
     "report": (report.main, lambda source: [*dataset(source), "--output=report.html"], ReportConfig),
     "view": (view.main, lambda source: [*dataset(source), "--sheet=view.png"], ViewConfig),
@@ -98,6 +103,8 @@ FILES: dict[tuple[str, str], Kind] = {
     **{(name, "json"): JSON for name in COMMANDS},
     ("replay", "video"): VIDEO,
     ("inspect", "save_map"): JOINT_MAP,
+    ("calibrate", "output"): JOINT_MAP,
+    ("calibrate", "sheet"): PICTURE,
     ("pads", "output"): ASKED_PICTURE,
     ("report", "output"): PAGE,
     ("view", "rrd"): RECORDING,

@@ -12,11 +12,12 @@ import yaml
 from conversions import records
 from scipy.spatial.transform import Rotation
 
-from cei_converters import convert
+from cei_converters import calibrate, convert
 from cei_converters.conversion.cameras import CameraOptions
 from cei_converters.dataset import schema
 from cei_converters.simulation.environment import open_environment
 from cei_converters.simulation.rollout import record_episode
+from cei_converters.sources.calibration import load_calibration
 from cei_converters.sources.reader import DatasetReader
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.embodiment import load_embodiment
@@ -27,7 +28,7 @@ from cei_gym.painting import Painter, Plate, Shot, agreement
 from cei_gym.painting.behind import Change, nearest_in_time
 from cei_gym.painting.light import Light, surface_terms
 from cei_gym.painting.view import RobotView
-from cei_gym.rendering import DepthCamera, look_at
+from cei_gym.rendering import DepthCamera, look_at, project
 
 SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
 IMAGE, VIDEO = "observation.images.front", "observation.images.left"
@@ -216,6 +217,75 @@ def test_pictures_are_the_same_whoever_paints(recorded: Recorded, painted: Path,
     for index in range(len(SEEDS)):
         assert one.pictures(index).images[IMAGE].equals(other.pictures(index).images[IMAGE])
         np.testing.assert_array_equal(*(each.pictures(index).decode(VIDEO) for each in (one, other)))
+
+
+# where the camera is
+
+
+def guessed(camera: Camera, seed: int, far_m: float, far_deg: float, focal: float) -> Camera:
+    """A camera off by so much, in a direction drawn."""
+    random = np.random.default_rng(seed)
+    shift, axis = (each / np.linalg.norm(each) for each in random.normal(size=(2, 3)))
+    T, K = camera.T_world_camera.copy(), camera.K.copy()
+    T[:3, :3] = T[:3, :3] @ Rotation.from_rotvec(np.radians(far_deg) * axis).as_matrix()
+    T[:3, 3] += far_m * shift
+    K[[0, 1], [0, 1]] *= focal
+    return replace(camera, T_world_camera=T, K=K)
+
+
+def calibrating(recorded: Recorded, guess: Camera, folder: Path, *options: str) -> int:
+    scene = recorded.demonstrations[0].scene
+    (folder / "rough.yaml").write_text(yaml.safe_dump(calibration_of((guess,), scene.T_world_base)))
+    return calibrate.main(
+        [
+            "--dataset.repo_id=me/pick",
+            f"--dataset.root={recorded.root}",
+            f"--source={SOURCE}",
+            "--camera=front",
+            f"--calibration={folder / 'rough.yaml'}",
+            f"--output={folder / 'cameras.yaml'}",
+            *options,
+        ]
+    )
+
+
+def apart_px(recorded: Recorded, one: Camera, other: Camera) -> float:
+    """Mean distance between where two cameras see the robot."""
+    body, scene = load_embodiment(SOURCE), recorded.demonstrations[0].scene
+    T = scene.T_world_base @ KinematicTree(body).forward(recorded.demonstrations[0].qpos)
+    points = T[..., :3, 3].reshape(-1, 3)
+    (a, _), (b, _) = (project(points, replace(camera, width=4000, height=4000)) for camera in (one, other))
+    return float(np.linalg.norm(a - b, axis=1).mean())
+
+
+def test_a_camera_is_found_from_joints_and_pictures(
+    recorded: Recorded, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    true = recorded.demonstrations[0].scene.cameras[0]
+    guess = guessed(true, 0, 0.03, 3.0, 0.95)
+    sheet, json_path = tmp_path / "sheet.png", tmp_path / "r.json"
+    asked = ("--pictures=12", f"--sheet={sheet}", f"--json={json_path}")
+    assert calibrating(recorded, guess, tmp_path, *asked) == 0
+    assert "Two halves of the pictures agree within" in capsys.readouterr().out
+    found = load_calibration(tmp_path / "cameras.yaml")
+    (camera,) = found.cameras
+    assert apart_px(recorded, guess, true) > 4
+    assert apart_px(recorded, camera, true) < 1.0  # rounded to whole pixels
+    result = json.loads(json_path.read_text())
+    assert result["apart_px"] < 1.5 and result["explained"] > 0.85 and result["moved_px"] > 4
+    assert sheet.read_bytes().startswith(b"\x89PNG")
+    np.testing.assert_allclose(found.T_world_base, recorded.demonstrations[0].scene.T_world_base)
+
+
+def test_a_camera_that_cannot_be_found_is_refused(
+    recorded: Recorded, tmp_path: Path, complaint: Callable[[], str]
+) -> None:
+    true = recorded.demonstrations[0].scene.cameras[0]
+    assert calibrating(recorded, guessed(true, 1, 0.3, 25.0, 1.2), tmp_path, "--pictures=8") == 1
+    assert "no camera is found" in complaint()
+    assert not (tmp_path / "cameras.yaml").exists()
+    assert calibrating(recorded, away(true), tmp_path) == 1
+    assert "is not in the view of camera 'front' by the guess" in complaint()
 
 
 # which cameras

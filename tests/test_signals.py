@@ -10,14 +10,18 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import killed
+import numpy as np
 import pytest
 
 from cei_converters import convert, signals
 from cei_converters.cli import run
 from cei_converters.dataset.place import temporary_folder
+from cei_converters.dataset.writer import DatasetWriter
+from cei_gym.rendering import look_at
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS: dict[str, str] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
@@ -43,6 +47,21 @@ def heeds(process: subprocess.Popen) -> bool:
     return True
 
 
+def pictured(source: Path) -> Path:
+    """A dataset with pictures beside the source, of noise, in which a camera is looked for until it is given up."""
+    root = source.with_name("pictured")
+    if source.exists() and not root.exists():
+        random = np.random.default_rng(0)
+        shown = killed.demonstration(4, random)
+        camera = look_at("front", (1.5, 0.5, 1.0), (0.3, 0.0, 0.3), 320, 240, 45.0)
+        size = (len(shown), camera.height, camera.width)
+        noise = random.integers(0, 256, (*size, 3), dtype=np.uint8)
+        scene = replace(shown.scene, cameras=(camera,))
+        with DatasetWriter("me/pick", root) as writer:
+            writer.add(replace(shown, scene=scene, depth_m={"front": np.ones(size, np.float32)}, rgb={"front": noise}))
+    return root
+
+
 def options(name: str, source: Path) -> list[str]:
     dataset = ["--dataset.repo_id=me/pick", f"--dataset.root={source}"]
     return {
@@ -56,6 +75,13 @@ def options(name: str, source: Path) -> list[str]:
         "cei-convert": [arg for arg in killed.arguments(source, Path("a/x"), "--workers=4") if "--init" not in arg],
         "cei-inspect": [*dataset, f"--source={killed.ROBOT}", "--json=r.json"],
         "cei-replay": [*dataset, "--env=CEI-PickCube-Panda-PandaGripper", "--json=r.json"],
+        "cei-calibrate": [
+            "--dataset.repo_id=me/pick",
+            f"--dataset.root={pictured(source)}",
+            "--camera=front",
+            "--output=a/c.yaml",
+            "--sheet=s.png",
+        ],
         "cei-pads": ["--end_effector=Inspire", "--output=a/p.png", "--points=20000"],
         "cei-robot": ["new", "package://robosuite/models/assets/grippers/rethink_gripper.xml", "--output=a"],
         "cei-view": [*dataset, "--rrd=a/v.rrd", "--sheet=v.png"],

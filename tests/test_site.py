@@ -15,7 +15,7 @@ from PIL import Image
 from smoke import documents
 
 import cei_gym
-from cei_converters import pads, record, replay, restore
+from cei_converters import calibrate, pads, record, replay, restore
 from cei_converters.conversion.config import ConvertConfig
 from cei_converters.dataset import legacy
 from cei_converters.inspection.command import InspectConfig
@@ -42,6 +42,7 @@ CONFIGS = {
     "cei-report": ReportConfig,
     "cei-deploy": DeployConfig,
     "cei-restore": restore.RestoreConfig,
+    "cei-calibrate": calibrate.CalibrateConfig,
     "cei-pads": pads.PadsConfig,
     "cei-view": ViewConfig,
 }

@@ -5,7 +5,19 @@ Geometry alone, of a calibrated camera that stands still: no network, no weights
 
 from cei_gym.painting.behind import Plate
 from cei_gym.painting.calibrated import Agreement, agreement
+from cei_gym.painting.camera_fit import CameraFit, fit_camera
 from cei_gym.painting.carried import Carry, carries
 from cei_gym.painting.painter import Figures, Painter, Shot
 
-__all__ = ["Agreement", "Carry", "Figures", "Painter", "Plate", "Shot", "agreement", "carries"]
+__all__ = [
+    "Agreement",
+    "CameraFit",
+    "Carry",
+    "Figures",
+    "Painter",
+    "Plate",
+    "Shot",
+    "agreement",
+    "carries",
+    "fit_camera",
+]

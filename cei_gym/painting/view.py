@@ -70,22 +70,24 @@ class RobotView:
         self._corners = _corners(embodiment.model)
         self.colours = np.ascontiguousarray(geom_colours(embodiment.model)[:, :3], float)
 
-    def draw(self, qpos: Array, finer: int = 1) -> Drawn:
+    def draw(self, qpos: Array, finer: int = 1, camera: Camera | None = None) -> Drawn:
         """The part of the picture that shows the robot.
 
         Args:
             qpos: (n,) joint positions, rad or m.
             finer: pixels to draw for one of the picture's, in each direction.
+            camera: another that sees it.
         """
+        camera = camera or self.camera
         T_world_links = self._T_world_base @ self._tree.forward(qpos)
-        top, left, bottom, right = self._box(T_world_links)
-        K = self.camera.K.copy()
+        top, left, bottom, right = self._box(T_world_links, camera)
+        K = camera.K.copy()
         K[0, 2] -= left
         K[1, 2] -= top
         K[:2, 2] = (K[:2, 2] + 0.5) * finer - 0.5  # integer coordinates are pixels' centres
         K[0, :2] *= finer
         K[1, 1] *= finer
-        part = replace(self.camera, width=(right - left) * finer, height=(bottom - top) * finer, K=K)
+        part = replace(camera, width=(right - left) * finer, height=(bottom - top) * finer, K=K)
         depth_m, geom_id = self._eye.render_at(T_world_links, (part,))[part.name]
         return Drawn(part, top, left, finer, depth_m, geom_id)
 
@@ -96,16 +98,16 @@ class RobotView:
         mask[drawn.part] = drawn.geom_id >= 0
         return mask
 
-    def _box(self, T_world_links: Array) -> tuple[int, int, int, int]:
+    def _box(self, T_world_links: Array, camera: Camera) -> tuple[int, int, int, int]:
         """First row and column and those past the last, of the pixels that may show the robot; all where part of it is behind the camera."""
         body, points = self._corners
         placed = np.einsum("pij,pj->pi", T_world_links[body, :3, :3], points) + T_world_links[body, :3, 3]
-        in_camera = (placed - self.camera.T_world_camera[:3, 3]) @ self.camera.T_world_camera[:3, :3]
-        whole = 0, 0, self.camera.height, self.camera.width
+        in_camera = (placed - camera.T_world_camera[:3, 3]) @ camera.T_world_camera[:3, :3]
+        whole = 0, 0, camera.height, camera.width
         if (in_camera[:, 2] < 0.05).any():
             return whole
         u, v = (in_camera[:, :2] / in_camera[:, 2:]).T
-        u, v = u * self.camera.K[0, 0] + self.camera.K[0, 2], v * self.camera.K[1, 1] + self.camera.K[1, 2]
+        u, v = u * camera.K[0, 0] + camera.K[0, 2], v * camera.K[1, 1] + camera.K[1, 2]
         top, bottom = np.clip([np.floor(v.min()) - 1, np.ceil(v.max()) + 2], 0, whole[2]).astype(int)
         left, right = np.clip([np.floor(u.min()) - 1, np.ceil(u.max()) + 2], 0, whole[3]).astype(int)
         return (int(top), int(left), int(bottom), int(right)) if top < bottom and left < right else (0, 0, 1, 1)

@@ -50,8 +50,10 @@ class CameraOptions:
         return [key for key in cameras if {key, camera_name(key)} & {*named}]
 
 
-def calibrated(keys: Mapping[str, Mapping[str, Any]], scene_cameras: Sequence[Camera]) -> dict[str, Camera]:
-    """The calibration of each of a dataset's features of cameras.
+def calibrated(
+    keys: Mapping[str, Mapping[str, Any]], scene_cameras: Sequence[Camera], who: str = "--cameras.paint"
+) -> dict[str, Camera]:
+    """The calibration of each of a dataset's features of cameras; `who` wants it.
 
     Raises:
         CEIError: one has none, or it is for pictures of another size.
@@ -62,13 +64,13 @@ def calibrated(keys: Mapping[str, Mapping[str, Any]], scene_cameras: Sequence[Ca
         name, (height, width, *_) = camera_name(key), feature["shape"]
         if name not in known:
             raise CEIError(
-                f"--cameras.paint: {key} has no calibration ({', '.join(known) or 'no camera'} has); give that of {name!r} with --calibration=FILE.yaml "
-                "(cei-convert --help shows one), or leave the camera out with --cameras.keep."
+                f"{who}: {key} has no calibration ({', '.join(known) or 'no camera'} has); give that of {name!r} with --calibration=FILE.yaml "
+                "(cei-convert --help shows one; a rough one is made exact by cei-calibrate), or leave the camera out."
             )
         camera = known[name]
         if (camera.height, camera.width) != (height, width):
             raise CEIError(
-                f"--cameras.paint: pictures of {key} are {width}x{height}, but {name!r} is calibrated for {camera.width}x{camera.height}; give its "
+                f"{who}: pictures of {key} are {width}x{height}, but {name!r} is calibrated for {camera.width}x{camera.height}; give its "
                 "calibration at the size of its pictures."
             )
         found[key] = camera
