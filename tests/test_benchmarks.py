@@ -149,6 +149,13 @@ def test_pictures(tmp_path: Path) -> None:
     assert depends_on(tmp_path, "pictures.json").seeds == (3, 3)
 
 
+def test_camera_fit(tmp_path: Path) -> None:
+    printed = run("camera_fit.py", tmp_path, "--starts=1", "--far=0.01,1,0.01")
+    assert "1 of 1 within 1 pixel, 0 refused" in printed
+    (row,) = json.loads((tmp_path / "results/camera_fit.json").read_text())["rows"]
+    assert row["off_px"] < 1 < row["began_px"]
+
+
 def test_a_blind_control_has_its_folders_seeds(tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
     Manifest(tmp_path / "results", [Figure(("a.json",), "cei-benchmark replay", seeds=(3, 5))]).write()

@@ -128,7 +128,7 @@ CONVERTING = POLICIES | REPLAYS | {"augmentation", "scale", "transfer"}
         ("cei_gym/wrapper.py", POLICIES | {"observation", "impersonation"}),
         ("cei_gym/augmentation.py", {"anchors_replay", "anchors_policy", "augmentation"}),
         ("cei_gym/errors.py", CONVERTING | {"direction_weight", "impersonation", "pictures", "twin"}),
-        ("cei_gym/painting/light.py", {"pictures"}),
+        ("cei_gym/painting/light.py", {"camera_fit", "pictures"}),
         ("converters/cei_converters/cli/table.py", set()),
     ],
 )

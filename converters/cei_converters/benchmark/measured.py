@@ -74,6 +74,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "benchmarks/blind_control.py": (*_RECORDED, "cei_gym/embodiment/*", "benchmarks/blind_control.py"),
     "benchmarks/camera.py": (*_CLOUDS, *_ENVIRONMENTS, "benchmarks/camera.py", "benchmarks/measure.py"),
+    "benchmarks/camera_fit.py": (*("cei_gym/painting/*", *_CLOUDS, *_ENVIRONMENTS, "benchmarks/camera_fit.py"),),
     "benchmarks/census.py": ("cei_gym/embodiment/*", "benchmarks/census.py"),
     "benchmarks/direction_weight.py": (*_METHOD, *_RECORDED, "benchmarks/direction_weight.py"),
     "benchmarks/first_frame.py": (*_ALIGNMENT, "benchmarks/first_frame.py"),
