@@ -19,6 +19,8 @@ from cei_converters.simulation.environment import open_environment
 from cei_converters.simulation.rollout import record_episode
 from cei_converters.sources.calibration import load_calibration
 from cei_converters.sources.reader import DatasetReader
+from cei_converters.view.episode import load_view
+from cei_converters.view.sheet import picture_strips
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.embodiment import load_embodiment
 from cei_gym.embodiment.meshes import visual_geoms
@@ -208,6 +210,19 @@ def test_card_records_and_result_say_how(painted: Path) -> None:
     assert "they still show" not in card
     result = json.loads((painted.parent / "result.json").read_text())
     assert result["passed_through"] == [] and result["painted"][IMAGE]["explained"] > 0.85
+
+
+def test_the_sheet_shows_them_beside_the_recorded_ones(recorded: Recorded, painted: Path) -> None:
+    reader, source = DatasetReader("me/out", painted), DatasetReader("me/pick", recorded.root, embodiment=SOURCE)
+    view = load_view(reader, 0, source, pictures=True)
+    moments = np.array([0, len(view) - 1])
+    strips = dict(picture_strips(view, moments))
+    assert len(strips) == 6
+    shown = strips[f"front\ntarget: {TARGET}"]
+    np.testing.assert_array_equal(shown, reader.pictures(0).decode(IMAGE)[moments])
+    was = strips[f"front\nsource: {SOURCE}"]
+    np.testing.assert_array_equal(strips["front\ndifference"], np.abs(was.astype(int) - shown))
+    assert not load_view(reader, 0, source).sides[0].pictures
 
 
 def test_pictures_are_the_same_whoever_paints(recorded: Recorded, painted: Path, tmp_path: Path) -> None:

@@ -74,7 +74,7 @@ def view(config: ViewConfig) -> dict[str, Any]:
     source = None
     if config.source.repo_id is not None:
         source = open_source(config.source.repo_id, config.source.root, joint_map=config.source.joint_map)
-    shown = load_view(reader, config.episode, source)
+    shown = load_view(reader, config.episode, source, pictures=True)
     if rrd is not None:
         from cei_converters.view.recording import save
 

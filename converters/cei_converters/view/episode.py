@@ -1,6 +1,7 @@
 """What is shown: an episode's robots, pads and clouds in the world, on one timeline."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,6 +38,7 @@ class Side:
         T_world_links: (T, L, 4, 4) link poses.
         representation: its pads, as `cei-convert` samples them by default.
         points_world, normals_world: (T, N, 3) pads, m and unit.
+        pictures: feature of each RGB camera to (T, H, W, 3) uint8, where they are shown, too.
     """
 
     role: str
@@ -47,6 +49,7 @@ class Side:
     representation: FunctionalRepresentation
     points_world: Array
     normals_world: Array
+    pictures: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     @property
     def label(self) -> str:
@@ -119,13 +122,14 @@ def cloud_rgb(demonstration: Demonstration, t: int) -> Array:
     return colormaps["viridis"]((cloud[:, 2] - low) / (high - low), bytes=True)[:, :3]
 
 
-def load_view(reader: "Source", index: int, source: "Source | None" = None) -> View:
+def load_view(reader: "Source", index: int, source: "Source | None" = None, pictures: bool = False) -> View:
     """Read an episode, and what it was converted from if that is to be shown too.
 
     Args:
         reader: of the dataset.
         index: which episode.
         source: of the dataset that it was converted from.
+        pictures: whether those of RGB cameras are shown, too.
 
     Raises:
         CEIError: no such episode, or the source is not what it was converted from.
@@ -136,15 +140,27 @@ def load_view(reader: "Source", index: int, source: "Source | None" = None) -> V
         title += f" ({' '.join(demonstration.task.split()).rstrip('.')})"
     role = "dataset" if source is None else "target"
     target = make_side(role, reader.embodiment, demonstration, np.arange(len(demonstration)))
+    target = _with_pictures(target, reader, index) if pictures else target
     correction = _correction(reader.record(index), target, title)
     if source is None:
         return View((target,), title, {}, *correction)
     source_index, frames = _origin(reader, index, len(demonstration), source)
     recorded = source.read(source_index).at(frames)
     before = make_side("source", source.embodiment, recorded, frames)
+    before = _with_pictures(before, source, source_index) if pictures else before
     if "offset" in reader.record(index):
         return View((before, target), f"{title}, objects moved", {}, *correction)  # not where the source's pads were
     return View((before, target), title, _residuals(before, target), *correction)
+
+
+def _with_pictures(side: Side, reader: "Source", index: int) -> Side:
+    keys = [key for key, feature in reader.cameras.items() if feature["shape"][-1] == 3]
+    try:
+        seen = reader.pictures(index)
+        return replace(side, pictures={key: seen.decode(key)[side.frames] for key in keys})
+    except CEIError as error:  # what is missing of pictures is no reason to show nothing
+        print(f"note: no pictures are shown: {error}")
+        return side
 
 
 def _correction(record: dict[str, Any], target: Side, where: str) -> tuple[str, Side | None]:

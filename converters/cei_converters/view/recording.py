@@ -65,6 +65,7 @@ def _log(recording: "rr.RecordingStream", view: View) -> None:
         _log_pads(recording, times, side)
         _log_cloud(recording, times, side)
         _log_cameras(recording, view, side)
+        _log_pictures(recording, view, side)
         _log_joints(recording, times, side)
     _log_correction(recording, view)
     for key, label in RESIDUALS.items():
@@ -145,6 +146,22 @@ def _log_cameras(recording: "rr.RecordingStream", view: View, side: Side) -> Non
             recording.log(f"{path}/depth", rr.DepthImage(depth_m, meter=1.0))
 
 
+def _log_pictures(recording: "rr.RecordingStream", view: View, side: Side) -> None:
+    import rerun as rr
+
+    for key, pictures in side.pictures.items():
+        for t, picture in enumerate(pictures):
+            recording.set_time("frame", sequence=t)
+            recording.set_time("time", duration=view.times_s[t])
+            recording.log(_picture_path(side, key), rr.Image(picture).compress(jpeg_quality=90))
+
+
+def _picture_path(side: Side, key: str) -> str:
+    import rerun as rr
+
+    return f"{side.role}/pictures/{rr.escape_entity_path_part(key)}"
+
+
 def _log_joints(recording: "rr.RecordingStream", times: list[Any], side: Side) -> None:
     for kind, values in (("position", side.demonstration.qpos), ("action", side.demonstration.action)):
         for name, series in zip(schema.joint_feature_names(side.embodiment), values.T, strict=True):
@@ -189,7 +206,7 @@ def _blueprint(view: View) -> "rrb.Blueprint":
         rrb.Spatial3DView(
             origin=side.role,
             # a depth image would be drawn as one more cloud; the source's pads show how far the target's are from them
-            contents=["$origin/**", f"- {side.role}/cameras/*/depth", "source/pads/**"],
+            contents=["$origin/**", f"- {side.role}/cameras/*/depth", f"- {side.role}/pictures/**", "source/pads/**"],
             name=side.label,
             eye_controls=rrb.EyeControls3D(position=eye, look_target=target),
         )
@@ -199,6 +216,11 @@ def _blueprint(view: View) -> "rrb.Blueprint":
         rrb.Spatial2DView(origin=f"{side.role}/cameras/{camera}", name=f"{side.role}: depth of {camera}")
         for side in view.sides
         for camera in side.demonstration.depth_m
+    ]
+    images += [
+        rrb.Spatial2DView(origin=_picture_path(side, key), name=f"{side.role}: {key}")
+        for side in view.sides
+        for key in side.pictures
     ]
     if view.uncorrected is not None:
         middle = view.uncorrected.points_world[0].mean(axis=0)

@@ -47,6 +47,8 @@ def draw_sheet(view: View) -> Figure:
     row_px = _HEIGHT + _CLOSE_UP_HEIGHT + _TITLE_HEIGHT
     heights = [_HEAD_HEIGHT + _KEY_HEIGHT * (view.uncorrected is not None), *[row_px] * len(view.sides)]
     heights += [_CLOSE_UP_HEIGHT + _CORRECTION_HEIGHT] * (view.uncorrected is not None)
+    strips = picture_strips(view, moments)
+    heights += [_TITLE_HEIGHT + round(_WIDTH * shown[0].shape[0] / shown[0].shape[1]) for _, shown in strips]
     heights += [_PLOT_HEIGHT] * bool(view.residuals)
     width = max(_LEAST_COLUMNS, len(moments)) * (_WIDTH + 10) + 40
     figure = Figure(figsize=(width / _DPI, sum(heights) / _DPI), layout="constrained")
@@ -62,10 +64,28 @@ def draw_sheet(view: View) -> Figure:
             axes.set(xticks=[], yticks=[])
     if view.uncorrected is not None:
         draw_correction(rows[len(view.sides)], view)
+    for row, (label, shown) in zip(rows[len(view.sides) + (view.uncorrected is not None) :], strips, strict=False):
+        row.supylabel(label, fontsize=15)
+        for axes, picture in zip(row.subplots(1, len(moments), squeeze=False)[0], shown, strict=True):
+            axes.imshow(picture)
+            axes.set(xticks=[], yticks=[])
     if view.residuals:
         for axes, key in zip(rows[-1].subplots(1, len(view.residuals)), view.residuals, strict=True):
             _plot(axes, view, key, moments)
     return figure
+
+
+def picture_strips(view: View, moments: Array) -> list[tuple[str, Array]]:
+    """What RGB cameras saw, a strip (M, H, W, 3) uint8 of a camera and a side, and how two sides differ: with their labels."""
+    strips: list[tuple[str, Array]] = []
+    for key in dict.fromkeys(key for side in view.sides for key in side.pictures):
+        camera = key.rpartition(".")[2]
+        shown = [(side, side.pictures[key][moments]) for side in view.sides if key in side.pictures]
+        strips += [(f"{camera}\n{side.label}", pictures) for side, pictures in shown]
+        if len(shown) == 2 and shown[0][1].shape == shown[1][1].shape:
+            first, second = (pictures.astype(np.int16) for _, pictures in shown)
+            strips.append((f"{camera}\ndifference", np.abs(first - second).astype(np.uint8)))
+    return strips
 
 
 def draw_correction(figure: FigureBase, view: View) -> None:
