@@ -15,6 +15,7 @@ SLOW = {
     "test_anchors_and_modes": 90,
     "test_real_benchmark": 90,
     "test_benchmark_command": 80,
+    "test_painting": 75,
     "test_resume": 70,
     "test_bad_input": 60,
     "test_edited": 60,

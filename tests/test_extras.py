@@ -109,9 +109,14 @@ def test_whatever_is_imported_comes_with_the_method_or_with_one_extra() -> None:
             assert (distribution(module) in base) + len(extras) == 1, f"{package} imports {module}"
 
 
-def test_the_method_alone_brings_whatever_it_imports_but_for_torch_and_others_descriptions() -> None:
+def test_the_method_alone_brings_whatever_it_imports_but_for_torch_opencv_and_others_descriptions() -> None:
     rest = {module for module in imported("cei_gym") if distribution(module) not in names(PROJECT["dependencies"])}
-    assert rest == {*EXTRAS["torch"].modules, *EXTRAS["descriptions"].modules}
+    assert rest == {*EXTRAS["torch"].modules, *EXTRAS["descriptions"].modules, "cv2"}
+
+
+def test_painting_says_that_it_needs_opencv() -> None:
+    code = python("from cei_gym.painting import Painter; Painter(None, None, None, None, None)")
+    assert without(["cv2"], code).stderr == 'error: painting pictures needs cv2: pip install "cei-gym[lerobot]".\n'
 
 
 def test_environments_bring_what_they_import_and_no_lerobot() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
+from cei_gym import extras
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.embodiment import Embodiment
@@ -79,6 +80,7 @@ def fit_camera(
     Raises:
         CEIError: nothing is found that the pictures bear out.
     """
+    extras.require_module("finding a camera", "cv2")
     if len(pictures) < 8:
         raise CEIError(f"a camera is found by 8 pictures or more, not {len(pictures)}.")
     whole = _Fit(robot, T_world_base, guess, pictures, qpos)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from cei_gym import extras
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.embodiment import Embodiment
@@ -88,6 +89,9 @@ class Painter:
         camera: fixed; its calibration.
         margin_px: around the source's silhouette, what is taken out with it.
         plate: what is behind the source as other episodes show it.
+
+    Raises:
+        MissingExtra: OpenCV is not installed.
     """
 
     def __init__(
@@ -100,6 +104,7 @@ class Painter:
         margin_px: float = 2.0,
         plate: Plate | None = None,
     ) -> None:
+        extras.require_module("painting pictures", "cv2")
         self.camera, self.margin_px, self.plate = camera, margin_px, plate
         self._source = RobotView(source, T_world_source, camera)
         self._target = RobotView(target, T_world_target, camera)
