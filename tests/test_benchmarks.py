@@ -146,7 +146,7 @@ def test_pictures(tmp_path: Path) -> None:
     (row,) = json.loads((tmp_path / "results/pictures.json").read_text())["table"]
     assert row["whole"] < 0.005 < 0.05 < row["unpainted"]
     assert (tmp_path / "results/pictures.png").exists()
-    assert depends_on(tmp_path, "pictures.json").seeds == (3, 3)
+    assert depends_on(tmp_path, "pictures.json", "pictures.png").seeds == (3, 3)
 
 
 def test_camera_fit(tmp_path: Path) -> None:
