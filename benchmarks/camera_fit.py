@@ -18,13 +18,12 @@ from scipy.spatial.transform import Rotation
 
 from cei_converters.simulation.environment import open_environment
 from cei_converters.simulation.rollout import record_episode
-from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.painting import fit_camera
 from cei_gym.painting.view import RobotView
-from cei_gym.rendering import unproject
+from cei_gym.rendering import image_points, unproject
 
 SOURCE, SEEDS, EACH = "Panda-PandaGripper", (0, 1, 2), 6
 FIGURE = "camera_fit.json"
@@ -38,11 +37,6 @@ def guessed(camera: Camera, seed: int, far_m: float, far_deg: float, focal: floa
     T[:3, 3] += far_m * shift
     K[[0, 1], [0, 1]] *= 1 + random.choice([-focal, focal])
     return replace(camera, T_world_camera=T, K=K)
-
-
-def pixels(points_world: Array, camera: Camera) -> Array:
-    seen = (points_world - camera.T_world_camera[:3, 3]) @ camera.T_world_camera[:3, :3]
-    return seen[:, :2] / seen[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
 
 
 def main() -> None:
@@ -71,14 +65,15 @@ def main() -> None:
         drawn = view.draw(q)
         surface.append(unproject(drawn.depth_m, drawn.camera))
     points, rows = np.concatenate(surface), []
+    seen, _ = image_points(points, true)
     for start in range(args.starts):
         guess = guessed(true, start, far_m, far_deg, focal)
-        began = float(np.linalg.norm(pixels(points, guess) - pixels(points, true), axis=1).mean())
+        began = float(np.linalg.norm(image_points(points, guess)[0] - seen, axis=1).mean())
         row = {"start": start, "began_px": began}
         cpu, wall = time.process_time(), time.perf_counter()
         try:
             found = fit_camera(robot, scene.T_world_base, guess, pictures, qpos)
-            off = np.linalg.norm(pixels(points, found.camera) - pixels(points, true), axis=1)
+            off = np.linalg.norm(image_points(points, found.camera)[0] - seen, axis=1)
             row |= {"off_px": float(off.mean()), "off_most_px": float(off.max()), "said_px": found.apart_px}
         except CEIError as error:
             row["refused"] = str(error)

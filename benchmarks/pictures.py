@@ -23,7 +23,7 @@ from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
 from cei_gym.embodiment import load_embodiment
 from cei_gym.environment import robot_environment
-from cei_gym.painting import Carry, Painter, Plate, Shot, carries
+from cei_gym.painting import Painter, Plate, Shot, carries
 from cei_gym.painting.view import RobotView
 from cei_gym.transfer import Transfer
 
@@ -74,11 +74,6 @@ def decibels(one: Array, other: Array) -> float:
     return float(10 * np.log10(255**2 / max(np.mean((one.astype(float) - other) ** 2), 1e-9)))
 
 
-def carried_in(transfer: Transfer, demonstration: Demonstration) -> list[Carry]:
-    handling, grip = transfer.handling(demonstration), transfer.motion(demonstration).grip
-    return carries(grip, 1 / demonstration.fps, handling.middle_world, handling.T_world_hand)
-
-
 def measure(task: str, target: str, demonstrations: list[Demonstration]) -> tuple[dict[str, Any], Array]:
     """The figures of a task and a target, and rows of pictures: recorded, painted, true."""
     source, body = load_embodiment(SOURCE), load_embodiment(target)
@@ -101,7 +96,7 @@ def measure(task: str, target: str, demonstrations: list[Demonstration]) -> tupl
         states = demonstration.environment_state
         assert states is not None
         true, thing = true_pictures(env, moved, frames, states)
-        before, held = demonstration.rgb["front"], carried_in(transfer, demonstration)
+        before, held = demonstration.rgb["front"], carries(transfer.motion(demonstration), base)
         shot = Shot(before, demonstration.qpos, held)
         painter(shot, frames[:1], moved.qpos[:1])  # compiles
         begun = time.process_time()

@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from cei_gym import extras
@@ -21,9 +20,10 @@ from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 from cei_gym.painting.behind import Plate
 from cei_gym.painting.calibrated import Agreement, agreement
-from cei_gym.painting.light import Light, surface_terms
+from cei_gym.painting.light import Light
 from cei_gym.painting.painter import grown
 from cei_gym.painting.view import Drawn, RobotView
+from cei_gym.rendering import image_points, resized, unproject
 
 WIDTHS_PX = (80, 160, 320)
 """Widths of pictures at each level."""
@@ -34,7 +34,6 @@ _ROUNDS = (15, 8, 5)  # of each level
 _MARGIN_PX, _BLUR_PX, _STEP_PX = 2.0, 1.2, 0.4  # of a level's pixels
 _INLIER = 0.1  # of [0, 1]
 _BELIEF = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.08])  # rad, m, and of the focal length's logarithm
-_LIT_PIXELS = 3000
 _STILL_PX = 0.02
 _THREADS = 2
 _MOST_APART_PX, _LEAST_EXPLAINED = 2.0, 0.85
@@ -136,9 +135,7 @@ class _Fit:
         K = guess.K.copy()
         K[[0, 1], [0, 1]] *= np.exp(candidate[6])
         scale = 1.0 if width is None else min(1.0, width / guess.width)
-        K[:2, 2] = (K[:2, 2] + 0.5) * scale - 0.5
-        K[0, :2] *= scale
-        K[1, 1] *= scale
+        K = resized(K, scale)
         size = {"width": round(guess.width * scale), "height": round(guess.height * scale)}
         return replace(guess, K=K, T_world_camera=guess.T_world_camera @ moved, **size)
 
@@ -199,14 +196,12 @@ class _Fit:
 
     def apart_px(self, one: Array, other: Array) -> tuple[float, float]:
         """Mean and largest distance in pictures of what one candidate sees of the robot, and the other; inf where it sees none of it."""
-        first, second = self.camera(one), self.camera(other)
+        cameras = self.camera(one), self.camera(other)
         distances: list[Array] = []
         for drawn in self.drawn(one, WIDTHS_PX[0], 1):
-            v, u = np.nonzero(drawn.geom_id >= 0)
-            depth_m, K = drawn.depth_m[v, u].astype(float), drawn.camera.K
-            rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(len(u))], axis=1)
-            points_world = (rays * depth_m[:, None]) @ first.T_world_camera[:3, :3].T + first.T_world_camera[:3, 3]
-            distances.append(np.linalg.norm(_pixels(points_world, first) - _pixels(points_world, second), axis=1))
+            points_world = unproject(drawn.depth_m, drawn.camera)
+            seen = [image_points(points_world, camera)[0] for camera in cameras]
+            distances.append(np.linalg.norm(seen[0] - seen[1], axis=1))
         joined = np.concatenate(distances)
         return (float(joined.mean()), float(joined.max())) if len(joined) else (np.inf, np.inf)
 
@@ -242,7 +237,7 @@ class _Level:
         middle = np.maximum((count - 1) // 2, 0)[None, ..., None].repeat(3, axis=-1)
         self._known = count >= 2
         self._behind = np.where(self._known[..., None], np.take_along_axis(ordered, middle, axis=0)[0], 0)
-        self._light = self._read_light(candidate)
+        self._light = Light.read(fit.drawn(candidate, width, 1), self._pictures, fit.colours, from_edges_px=1)
 
     def residual(self, candidate: Array) -> Array:
         """What a candidate predicts less what was recorded, in [-1, 1], blurred."""
@@ -259,26 +254,7 @@ class _Level:
             parts.append(cv2.GaussianBlur((predicted - picture) * counts[..., None], (0, 0), _BLUR_PX).ravel())
         return np.concatenate(parts)
 
-    def _read_light(self, candidate: Array) -> Light:
-        colours: list[Array] = []
-        terms: list[Array] = []
-        pixels: list[Array] = []
-        for picture, drawn in zip(self._pictures, self._fit.drawn(candidate, self._width, 1), strict=True):
-            surface, known = surface_terms(drawn)
-            at = np.flatnonzero(ndimage.binary_erosion(known))
-            at = at[:: max(1, len(at) * len(self._pictures) // _LIT_PIXELS)]
-            colours.append(self._fit.colours[drawn.geom_id.ravel()[at]])
-            terms.append(surface.reshape(-1, surface.shape[-1])[at])
-            pixels.append(picture[drawn.part].reshape(-1, 3)[at])
-        return Light.fit(np.concatenate(colours), np.concatenate(terms), np.concatenate(pixels))
-
 
 def _loss(residual: Array) -> float:
     square = residual.astype(float) ** 2
     return float((square / (square + _INLIER**2)).sum())
-
-
-def _pixels(points_world: Array, camera: Camera) -> Array:
-    """(N, 2) column and row."""
-    in_camera = (points_world - camera.T_world_camera[:3, 3]) @ camera.T_world_camera[:3, :3]
-    return in_camera[:, :2] / in_camera[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]

@@ -12,11 +12,11 @@ import numpy as np
 from scipy import ndimage
 
 from cei_gym.alignment.contact.correction import Holds
-from cei_gym.alignment.grip import Grip
+from cei_gym.alignment.problem import Motion
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.painting.behind import Change, shown
-from cei_gym.painting.view import pixel_of
+from cei_gym.rendering import image_points, project
 
 _CARRIED_M = 0.02  # by less nothing is carried
 _LIES_M = 0.003  # what has moved by less lies where it lay
@@ -48,17 +48,21 @@ class Carry:
         return self.T_world_hand[min(frame, last)] @ np.linalg.inv(self.T_world_hand[self.taken])
 
 
-def carries(grip: Grip | None, dt_s: float, middle_world: Array, T_world_hand: Array) -> list[Carry]:
-    """The holds of a source's grip, dt_s between frames, in which it carries something by 2 cm.
+def carries(motion: Motion, T_world_base: Array) -> list[Carry]:
+    """The holds of a source in which it carries something by 2 cm.
 
     Args:
-        grip: of the source; None where it has none.
-        dt_s: time between frames.
-        middle_world: (T, 3) middle of its pads, m.
-        T_world_hand: (T, 4, 4) pose of its hand.
+        motion: of its pads, with its grip (`Transfer.motion`).
+        T_world_base: (4, 4) pose of the base in whose frame that is: the target's.
     """
     found: list[Carry] = []
-    holds = Holds.of(grip, dt_s)
+    grip, R, t = motion.grip, T_world_base[:3, :3], T_world_base[:3, 3]
+    if grip is None:
+        return found
+    middle_world = motion.points_base.mean(axis=1) @ R.T + t
+    T_world_hand = np.tile(np.eye(4), (len(middle_world), 1, 1))
+    T_world_hand[:, :3, :3], T_world_hand[:, :3, 3] = R @ grip.rotation, grip.position @ R.T + t
+    holds = Holds.of(grip, motion.dt_s or 0.0)
     for begin, end in zip(holds.first.tolist(), holds.last.tolist(), strict=True):
         path = middle_world[begin : end + 1]
         far = np.linalg.norm(path - path[0], axis=1)
@@ -105,7 +109,9 @@ class CutOut:
 
         moved = self.carry.moved(frame)
         now = self.points_world @ moved[:3, :3].T + moved[:3, 3]
-        affine = cv2.getAffineTransform(_pixels(self.points_world, camera), _pixels(now, camera))
+        affine = cv2.getAffineTransform(
+            *(image_points(points, camera)[0].astype(np.float32) for points in (self.points_world, now))
+        )
         size = camera.width, camera.height
         picture, alpha, bulge_m = (
             cv2.warpAffine(image, affine, size, flags=cv2.INTER_LINEAR)
@@ -192,7 +198,7 @@ def _changed(
 
 def _disc(point_world: Array, radius_m: float, camera: Camera) -> Array:
     """(H, W) bool, the pixels within a distance of a point's."""
-    (row, column), depth_m = pixel_of(point_world, camera)
+    ((row, column),), (depth_m,) = project(point_world[None], camera)
     if row < 0:
         return np.zeros((camera.height, camera.width), bool)
     v, u = np.ogrid[: camera.height, : camera.width]
@@ -214,13 +220,6 @@ def _plane(point_world: Array, camera: Camera) -> Array:
     """(3, 3) a point, and those beside and below it as the camera has it, m."""
     right, down = camera.T_world_camera[:3, 0], camera.T_world_camera[:3, 1]
     return point_world + 0.05 * np.stack([0 * right, right, down])
-
-
-def _pixels(points_world: Array, camera: Camera) -> Array:
-    """(N, 2) float32 column and row."""
-    in_camera = (points_world - camera.T_world_camera[:3, 3]) @ camera.T_world_camera[:3, :3]
-    uv = in_camera[:, :2] / in_camera[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
-    return uv.astype(np.float32)
 
 
 def _spread(picture: Array, where: Array) -> Array:

@@ -5,10 +5,12 @@ A pixel of a matt surface under distant lamps is its own colour times a smooth f
 terms without the surface's own colour are what it mirrors.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from scipy import ndimage
 
 from cei_gym.arrays import Array
 from cei_gym.compiled import njit
@@ -18,7 +20,7 @@ TERMS = 10
 _LIKE_NO_LIGHT = np.array([0.35, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.45])  # lamps above and beside the camera
 _ROUNDS = 8
 _STIFF = 1e-3, 1e-2  # of what is believed before: of terms with the surface's own colour, and of those without
-_LEAST_PIXELS = 200
+_LEAST_PIXELS, _MOST_PIXELS = 200, 3000  # that light is read from
 _INLIER = 0.05
 
 
@@ -67,6 +69,26 @@ class Light:
                 inlier = 1 / (1 + (residual / _INLIER) ** 2) ** 2
             weights[:, :, channel], left[:, channel] = found.reshape(2, TERMS), residual
         return cls(weights, float(np.median(np.abs(left))))
+
+    @classmethod
+    def read(cls, drawn: Sequence[Drawn], pictures: Sequence[Array], colours: Array, from_edges_px: int) -> Self:
+        """The light in some pictures, by a robot in them.
+
+        Args:
+            drawn: the robot in each, as finely as they are.
+            pictures: (H, W, 3) each, in [0, 1].
+            colours: (ngeom, 3) of its geoms, in [0, 1].
+            from_edges_px: so far from edges are the pixels that are looked at.
+        """
+        found: list[tuple[Array, Array, Array]] = []
+        for each, picture in zip(drawn, pictures, strict=True):
+            surface, known = surface_terms(each)
+            at = np.flatnonzero(ndimage.binary_erosion(known, iterations=from_edges_px))
+            at = at[:: max(1, len(at) * len(drawn) // _MOST_PIXELS)]
+            own = colours[each.geom_id.ravel()[at]]
+            found.append((own, surface.reshape(-1, TERMS)[at], picture[each.part].reshape(-1, 3)[at]))
+        own, terms, pixels = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return cls.fit(own, terms, pixels)
 
     def on(self, drawn: Drawn, colours: Array) -> tuple[Array, Array, Array]:
         """A drawn robot in this light.

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
 from cei_gym import extras
 from cei_gym.arrays import Array
@@ -13,12 +12,11 @@ from cei_gym.demonstration import Camera
 from cei_gym.embodiment import Embodiment
 from cei_gym.painting.behind import Change, Plate, nearest_in_time
 from cei_gym.painting.carried import Carry, CutOut, Layer, cut_out
-from cei_gym.painting.light import Light, surface_terms
+from cei_gym.painting.light import Light
 from cei_gym.painting.view import Drawn, RobotView
 
 _FINENESS = 1, 2  # pixels to draw for one of the picture's, in each direction: recorded edges are hard or smooth
-_LIT_FRAMES, _LIT_PIXELS = 8, 3000  # that light is read from, of all frames together
-_EDGE_FRAMES = 3
+_LIT_FRAMES, _EDGE_FRAMES = 8, 3  # that light is read from, and how hard edges are
 _SCENE_M = 0.01  # by so much recorded depth is nearer than the robot, before it hides it
 _INPAINT_PX = 3
 
@@ -162,18 +160,8 @@ class Painter:
     def _light(self, shot: Shot) -> Light:
         """The light in what was recorded, read from the source."""
         frames = _spread(len(shot.qpos), _LIT_FRAMES)
-        colours: list[Array] = []
-        terms: list[Array] = []
-        pixels: list[Array] = []
-        for t in frames:
-            drawn = self._source.draw(shot.qpos[t])
-            surface, known = surface_terms(drawn)
-            at = np.flatnonzero(ndimage.binary_erosion(known, iterations=2))
-            at = at[:: max(1, len(at) * len(frames) // _LIT_PIXELS)]
-            colours.append(self._source.colours[drawn.geom_id.ravel()[at]])
-            terms.append(surface.reshape(-1, surface.shape[-1])[at])
-            pixels.append(shot.pictures[t][drawn.part].reshape(-1, 3)[at] / 255)
-        return Light.fit(np.concatenate(colours), np.concatenate(terms), np.concatenate(pixels))
+        drawn = [self._source.draw(shot.qpos[t]) for t in frames]
+        return Light.read(drawn, [shot.pictures[t] / 255 for t in frames], self._source.colours, from_edges_px=2)
 
     def _fineness(self, shot: Shot, without: _Without, light: Light) -> int:
         """How finely robots are to be drawn, so that the source's edges are as they were recorded."""

@@ -13,8 +13,7 @@ from cei_gym.embodiment import Embodiment
 from cei_gym.embodiment.colours import geom_colours
 from cei_gym.embodiment.meshes import visual_geoms
 from cei_gym.kinematics import KinematicTree
-from cei_gym.rendering import DepthCamera
-from cei_gym.rendering.pinhole import project
+from cei_gym.rendering import DepthCamera, image_points, resized
 
 
 @dataclass(frozen=True)
@@ -84,10 +83,7 @@ class RobotView:
         K = camera.K.copy()
         K[0, 2] -= left
         K[1, 2] -= top
-        K[:2, 2] = (K[:2, 2] + 0.5) * finer - 0.5  # integer coordinates are pixels' centres
-        K[0, :2] *= finer
-        K[1, 1] *= finer
-        part = replace(camera, width=(right - left) * finer, height=(bottom - top) * finer, K=K)
+        part = replace(camera, width=(right - left) * finer, height=(bottom - top) * finer, K=resized(K, finer))
         depth_m, geom_id = self._eye.render_at(T_world_links, (part,))[part.name]
         return Drawn(part, top, left, finer, depth_m, geom_id)
 
@@ -102,12 +98,11 @@ class RobotView:
         """First row and column and those past the last, of the pixels that may show the robot; all where part of it is behind the camera."""
         body, points = self._corners
         placed = np.einsum("pij,pj->pi", T_world_links[body, :3, :3], points) + T_world_links[body, :3, 3]
-        in_camera = (placed - camera.T_world_camera[:3, 3]) @ camera.T_world_camera[:3, :3]
         whole = 0, 0, camera.height, camera.width
-        if (in_camera[:, 2] < 0.05).any():
+        uv, depth_m = image_points(placed, camera)
+        if (depth_m < 0.05).any():
             return whole
-        u, v = (in_camera[:, :2] / in_camera[:, 2:]).T
-        u, v = u * camera.K[0, 0] + camera.K[0, 2], v * camera.K[1, 1] + camera.K[1, 2]
+        u, v = uv.T
         top, bottom = np.clip([np.floor(v.min()) - 1, np.ceil(v.max()) + 2], 0, whole[2]).astype(int)
         left, right = np.clip([np.floor(u.min()) - 1, np.ceil(u.max()) + 2], 0, whole[3]).astype(int)
         return (int(top), int(left), int(bottom), int(right)) if top < bottom and left < right else (0, 0, 1, 1)
@@ -121,9 +116,3 @@ def _corners(model: mujoco.MjModel) -> tuple[Array, Array]:
     R = Rotation.from_quat(model.geom_quat[geoms], scalar_first=True).as_matrix()
     points = np.einsum("gij,gkj->gki", R, middle[:, None] + signs * half[:, None]) + model.geom_pos[geoms][:, None]
     return np.repeat(model.geom_bodyid[geoms], len(signs)), points.reshape(-1, 3)
-
-
-def pixel_of(point_world: Array, camera: Camera) -> tuple[Array, float]:
-    """Row and column of a (3,) point in a picture, -1 beside it, and its depth, m."""
-    pixel, depth_m = project(point_world[None], camera)
-    return pixel[0], float(depth_m[0])

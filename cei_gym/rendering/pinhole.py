@@ -98,6 +98,22 @@ def unproject(depth_m: Array, camera: Camera) -> Array:
     return points_world[:count]
 
 
+def resized(K: Array, factor: float) -> Array:
+    """(3, 3) K of the same view in a picture `factor` times as large."""
+    scaled = K.copy()
+    scaled[:2, 2] = (scaled[:2, 2] + 0.5) * factor - 0.5  # integer coordinates are pixels' centres
+    scaled[0, :2] *= factor
+    scaled[1, 1] *= factor
+    return scaled
+
+
+def image_points(points_world: Array, camera: Camera) -> tuple[Array, Array]:
+    """(N, 2) column and row, not rounded, of (N, 3) points in the world, and (N,) depth along the optical axis, m; behind the camera they mean nothing."""
+    points_camera = (points_world - camera.T_world_camera[:3, 3]) @ camera.T_world_camera[:3, :3]
+    depth_m = points_camera[:, 2]
+    return points_camera[:, :2] / depth_m[:, None] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2], depth_m
+
+
 def project(points_world: Array, camera: Camera) -> tuple[Array, Array]:
     """Where points appear in a camera's image: the inverse of `unproject`, to a whole pixel.
 

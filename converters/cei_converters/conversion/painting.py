@@ -10,13 +10,13 @@ import numpy as np
 from cei_converters.conversion.cameras import CameraOptions, calibrated
 from cei_converters.conversion.episode import Recorded, Retargeted
 from cei_converters.sources.recording import spread
+from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.errors import CEIError
 from cei_gym.painting import Agreement, Painter, Plate, Shot, agreement, carries
 
 if TYPE_CHECKING:
     from cei_converters.sources.source import Source
-    from cei_gym.arrays import Array
     from cei_gym.transfer import Transfer
 
 _EPISODES, _FRAMES = 8, 8  # that are looked at for what is behind the robot, and of each
@@ -75,12 +75,12 @@ class Painting:
             frames = np.searchsorted(of_source, frames)
         pictures, painted = made.pictures, dict[str, dict[str, Any]]()
         for key, camera in self.cameras.items():
-            shot = self._shot(made.recorded, key, camera)
+            shot = self._shot(made.recorded, moved.scene.T_world_base, key, camera)
             shown, figures = self._painter(key, recorded, moved)(shot, frames, moved.qpos)
             pictures, painted[key] = pictures.paint(key, shown), figures.record()
         return replace(made, pictures=pictures, painted=painted)
 
-    def _shot(self, recorded: Recorded, key: str, camera: Camera) -> Shot:
+    def _shot(self, recorded: Recorded, T_world_target: Array, key: str, camera: Camera) -> Shot:
         demonstration = recorded.demonstration
         pictures = recorded.pictures.decode(key)
         if demonstration.source_frames is not None:
@@ -89,9 +89,7 @@ class Painting:
             raise CEIError(
                 f"episode {recorded.index}: {key} has {len(pictures)} pictures, where joints have {len(demonstration)} frames; record it again."
             )
-        handling = self._transfer.handling(demonstration)
-        grip = self._transfer.motion(demonstration).grip
-        carried = carries(grip, 1 / demonstration.fps, handling.middle_world, handling.T_world_hand)
+        carried = carries(self._transfer.motion(demonstration), T_world_target)
         return Shot(pictures, demonstration.qpos, carried, demonstration.depth_m.get(camera.name))
 
     def _painter(self, key: str, recorded: Demonstration, moved: Demonstration) -> Painter:
