@@ -111,8 +111,10 @@ def browse(url: str, profile: Path, width: int = 1280, height: int = 800) -> Ite
     process = subprocess.Popen([str(CHROMIUM), *options, "about:blank"], stderr=subprocess.DEVNULL)
     try:
         port_file = profile / "DevToolsActivePort"
+        end = time.monotonic() + PATIENCE_S
         while not port_file.exists() or len(port_file.read_text().split()) < 2:
             assert process.poll() is None, "the browser ended"
+            assert time.monotonic() < end, "the browser does not begin"
             time.sleep(0.1)
         port = port_file.read_text().split()[0]
         with urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
@@ -125,5 +127,5 @@ def browse(url: str, profile: Path, width: int = 1280, height: int = 800) -> Ite
             page.call("Page.navigate", url=url)
             yield page
     finally:
-        process.terminate()
+        process.kill()  # it has nothing to keep, and asked kindly it may never end
         process.wait()

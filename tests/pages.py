@@ -2,12 +2,11 @@
 
 import base64
 import re
-import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-from browser import CHROMIUM
+from browser import browse
 from PIL import Image
 
 _VOID = {"meta", "img", "br", "hr", "input", "link"}
@@ -73,8 +72,7 @@ class Html(HTMLParser):
 
 def screenshot(page: Path, picture: Path, width: int = 1100, height: int = 2600) -> np.ndarray:
     """(H, W, 3) what headless Chromium shows of it, and a PNG of that."""
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--hide-scrollbars"]
-    options += [f"--user-data-dir={picture.with_suffix('.profile')}", f"--window-size={width},{height}"]
-    command = [str(CHROMIUM), *options, f"--screenshot={picture}", page.resolve().as_uri()]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    with browse(page.resolve().as_uri(), picture.with_suffix(".profile"), width, height) as shown:
+        shown.wait("document.readyState === 'complete' && [...document.images].every(image => image.complete)")
+        shown.picture(picture)
     return np.asarray(Image.open(picture).convert("RGB"))
