@@ -144,7 +144,7 @@ LAYERS = {
         *("catalogue", "identity", "drives"),
     ],
     "cei_gym.twin": [
-        *("options", "evidence", "shape", "hold", "seen", "complete", "fit", "hulls"),
+        *("options", "evidence", "calibration", "shape", "hold", "seen", "complete", "fit", "hulls"),
         *("couplings", "robot", "scene", "play", "twin"),
     ],
     "cei_gym.painting": ["view", "behind", "light", "carried", "calibrated", "painter", "camera_fit"],

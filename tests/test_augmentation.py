@@ -305,9 +305,11 @@ def test_of_many_episodes_the_table_has_the_worst(source: Path, tmp_path: Path, 
     ]
     assert convert.main(killed.arguments(source, tmp_path / "out", *options)) == 0
     printed = capsys.readouterr().out
-    assert "of 54 episodes, the 20 of lowest quality, and the mean of all" in " ".join(printed.split())
+    assert "of 54 episodes, the 20 least likely to work, or of lowest fidelity, and the mean of all" in " ".join(
+        printed.split()
+    )
     rows = [line.split("│")[1:-1] for line in printed.splitlines() if line.startswith("│")]
-    qualities = sorted(entry["quality"] for entry in json.loads((tmp_path / "all.json").read_text())["results"])
+    qualities = sorted(entry["fidelity"] for entry in json.loads((tmp_path / "all.json").read_text())["results"])
     assert len(qualities) == 54
     shown = [float(row[-2]) for row in rows]
     np.testing.assert_allclose(shown, [*qualities[:20], np.mean(qualities)], rtol=5e-3)

@@ -150,7 +150,7 @@ def test_any_robot_has_a_table_without_the_paper_and_a_stopped_run_goes_on(
     assert [f"{row['task']}-{row['embodiment']}" for row in found["rows"]] == [source, robot]
     row, cell = found["rows"][1], cell_of(tmp_path, robot)
     assert (row["successes"], row["episodes"], row["interval_95"]) == (1, 1, [0.207, 1.0])
-    assert row["quality_mean"] == pytest.approx(cell["alignment"][0]["quality"], abs=1e-3)
+    assert row["fidelity_mean"] == pytest.approx(cell["alignment"][0]["fidelity"], abs=1e-3)
     assert row["seconds"] == pytest.approx(sum(cell["seconds"].values()), abs=0.1)
     assert len(cell["replay"]["physics"]["joints"]) == 8 and "stock_replay" not in cell
     text = (tmp_path / "results/replay.md").read_text()

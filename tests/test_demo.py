@@ -55,10 +55,10 @@ def test_tables_say_what_replay_and_conversion_found(page: Html, folder: Path) -
             ("pads (mm)", "pad_distance_mm_mean", 1),
             ("normals (deg)", "normal_angle_deg_mean", 1),
             ("depth (mm)", "penetration_mm_max", 1),
-            ("quality", "quality", 2),
+            ("fidelity", "fidelity", 2),
         ):
             assert float(row[name]) == pytest.approx(entry[key], abs=0.51 * 0.1**digit), name
-        assert 0.7 < float(row["quality"]) <= 1
+        assert 0.7 < float(row["fidelity"]) <= 1
         assert float(row["pads (mm)"]) < 15
     assert {row["of"] for row in page.rows("of")} == {"Panda", "PandaGripper", "IIWA", "Inspire"}
 
@@ -79,12 +79,12 @@ def test_pictures_show_something_and_the_videos_play(page: Html) -> None:
 
 
 def test_the_worst_is_told_first_and_why(page: Html, folder: Path) -> None:
-    scores = [record["quality"]["score"] for record in Records(folder / "pick_cube_iiwa")]
+    scores = [record["fidelity"]["score"] for record in Records(folder / "pick_cube_iiwa")]
     worst, best = np.argsort(scores)
-    assert page.text.index(f"Episode {worst}, quality {min(scores):.2f}") < page.text.index(
-        f"Episode {best}, quality {max(scores):.2f}, the best"
+    assert page.text.index(f"Episode {worst}, fidelity {min(scores):.2f}") < page.text.index(
+        f"Episode {best}, fidelity {max(scores):.2f}, the best"
     )
-    assert f"Its quality is {min(scores):.2f}, for its residual: how far its pads stay" in page.text
+    assert f"Its fidelity is {min(scores):.2f}, for its residual: how far its pads stay" in page.text
 
 
 def test_what_it_says_to_do_by_hand_are_commands_there_are(page: Html) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conversions import record_cubes, records, same
+from pages import Html
 
 from cei_converters import convert, report
 from cei_converters.conversion.evidence import EvidenceOptions, Witness, row, sentence, summarise
@@ -16,6 +17,7 @@ from cei_gym.displacement import Displacement
 from cei_gym.embodiment import load_embodiment
 from cei_gym.transfer import Transfer
 from cei_gym.twin import Evidence
+from cei_gym.twin.calibration import WORKED
 
 TARGET = "IIWA-Inspire"
 FAST = ["--clouds.robot_points=256", "--clouds.points=256", "--init.starts=32", "--init.basins=4"]
@@ -65,6 +67,24 @@ def test_what_fails_in_its_twin_is_left_out_if_told(
     assert converted(folder, tmp_path / "steel", *heavy, "--evidence.density_kg_m3=8000") == 1
     assert "all 2 episodes fail in their twins, so all are left out and nothing is written" in complaint()
     assert not (tmp_path / "steel").exists()
+
+
+def test_the_gate_goes_by_what_twins_say(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """By what the answers were worth elsewhere: none is worth 0.99, that of what falls less than a half."""
+    gate = ["--evidence", "--evidence.density_kg_m3=3550", "--min_quality=0.5", "--flag=0.99", "--workers=1"]
+    assert converted(folder, tmp_path / "gated", *gate) == 0
+    assert "Quality: dropped 1 (episode 1), flagged 1 (episode 0)." in capsys.readouterr().out
+    (kept,) = records(tmp_path / "gated")
+    assert kept["source_episode"] == 0 and kept["flagged"]
+    works, of = WORKED[kept["evidence"]["answer"]]
+    assert kept["quality"] == {"probability": pytest.approx((works + 1) / (of + 2)), "by": "twin"}
+    card = (tmp_path / "gated/README.md").read_text()
+    assert "by a scene built from its recording. It is known of 1 of 1 episodes" in card
+    assert "Episodes not known to work with a probability of at least 0.5 are left out (1)." in card
+    dataset = ["--dataset.repo_id=me/target", f"--dataset.root={tmp_path / 'gated'}"]
+    assert report.main([*dataset, f"--output={tmp_path / 'page.html'}", "--worst=1"]) == 0
+    (row,) = Html((tmp_path / "page.html").read_text()).rows("episode")
+    assert float(row["quality"]) == pytest.approx(kept["quality"]["probability"], abs=0.006)
 
 
 def test_workers_make_the_same_dataset(

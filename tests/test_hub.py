@@ -263,7 +263,7 @@ def test_the_card_says_what_there_is_to_know(dataset: Path) -> None:
         "converted from **Panda-PandaGripper** (`me/pick`)",
         "Directional Chamfer Distance",
         "`--solver.lambda_m`",
-        "| `quality` |",
+        "| `fidelity` |",
         "![Scores of all episodes, and the worst ones](meta/quality.png)",
         "| license of the source | `cc-by-4.0` |",
         "@article{wu2026cei,",

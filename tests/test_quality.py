@@ -1,4 +1,4 @@
-"""The quality of episodes, the gate, and the picture of both."""
+"""How well episodes follow, how likely they work, the gate, and the picture of all."""
 
 import json
 from collections.abc import Callable
@@ -10,19 +10,23 @@ import killed
 import numpy as np
 import pytest
 from conversions import records
-from PIL import Image
+from scipy.stats import beta
 
 from cei_converters import convert
 from cei_converters.conversion.gate import Gate
-from cei_converters.sources.reader import DatasetReader
+from cei_converters.conversion.quality import PRIOR, Quality
+from cei_converters.conversion.verdict import Verdict
+from cei_converters.dataset.records import fidelity_of, quality_of
 from cei_gym.alignment import AlignmentProblem, AlignmentReport, Track
 from cei_gym.alignment.judge.clearance import Clearance, Penetration
-from cei_gym.alignment.judge.quality import assess
+from cei_gym.alignment.judge.fidelity import assess
 from cei_gym.alignment.judge.report import make_report
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.functional import sample_representation
 from cei_gym.kinematics import KinematicTree
+from cei_gym.twin import Evidence
+from cei_gym.twin.calibration import WORKED
 
 PERFECT = AlignmentReport(
     pad_distance_mm=np.zeros(10),
@@ -42,13 +46,13 @@ def at(frame: int, value: float) -> np.ndarray:
     return np.where(np.arange(10) == frame, value, 0.0)
 
 
-# -- the score -----------------------------------------------------------------------------------------------------------
+# -- fidelity -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_perfect_episode_has_quality_1() -> None:
-    quality = assess(PERFECT)
-    assert quality.parts == {"residual": 1, "limits": 1, "jumps": 1, "clearance": 1, "reach": 1}
-    assert quality.score == 1
+def test_a_perfect_episode_has_fidelity_1() -> None:
+    fidelity = assess(PERFECT)
+    assert fidelity.parts == {"residual": 1, "limits": 1, "jumps": 1, "clearance": 1, "reach": 1}
+    assert fidelity.score == 1
     assert assess(replace(PERFECT, speed_share=np.ones(10))).score == 1  # as fast as it may be
 
 
@@ -67,10 +71,10 @@ def test_a_perfect_episode_has_quality_1() -> None:
     ],
 )
 def test_the_score_is_that_of_the_worst_part(worse: dict[str, Any], part: str, score: float) -> None:
-    quality = assess(replace(PERFECT, **worse))
-    assert quality.weakest == part
-    assert quality.score == quality.parts[part] == pytest.approx(score)
-    assert quality.frame == 7
+    fidelity = assess(replace(PERFECT, **worse))
+    assert fidelity.weakest == part
+    assert fidelity.score == fidelity.parts[part] == pytest.approx(score)
+    assert fidelity.frame == 7
 
 
 def test_worse_is_never_better() -> None:
@@ -118,21 +122,62 @@ def test_depth_grows_with_the_surface() -> None:
     assert clearance.worst(qpos, 0.4)[0] == depths[1].max()
 
 
+# -- quality -------------------------------------------------------------------------------------------------------------
+
+
+def verdict(success: bool, held: float | None = None, judged: int = 1) -> Verdict:
+    return Verdict(0, success, 1, "plain", "" if success else "slipped", held=held, judged=judged)
+
+
+def test_replays_say_how_likely_an_episode_works() -> None:
+    """By the mean of the beta distribution that is left of `PRIOR`; more replays make surer."""
+    works, fails = PRIOR
+    for said, held, n in (
+        (verdict(True), 1, 1),
+        (verdict(False), 0, 1),
+        (verdict(True, held=0.8, judged=5), 4, 5),
+        (verdict(True, held=1.0, judged=5), 5, 5),
+    ):
+        quality = Quality.of(said, None)
+        assert quality.by == "replays"
+        assert quality.probability == pytest.approx(beta(works + held, fails + n - held).mean())
+    assert Quality.of(verdict(True), Evidence.of([False] * 4, ["box"], 1.0)).by == "replays"  # which know better
+
+
+def test_a_twin_says_it_by_how_often_its_answers_were_right() -> None:
+    for answer, votes in (("holds", [True] * 4), ("fails", [False] * 4), ("unsure", [True, False])):
+        evidence = Evidence.of(votes, ["box"], 1.0)
+        works, of = WORKED[answer]
+        assert evidence.answer == answer
+        assert Quality.of(None, evidence).record() == {
+            "probability": pytest.approx((works + 1) / (of + 2)),
+            "by": "twin",
+        }
+
+
+def test_what_nothing_tells_is_not_known() -> None:
+    assert Quality.of(None, None).record() == {}
+    assert Quality.of(None, Evidence.none("there are no clouds")).probability is None
+
+
 # -- the gate ------------------------------------------------------------------------------------------------------------
 
 
 def test_gate() -> None:
     both = Gate(0.3, 0.6)
-    assert [both.decision(score) for score in (0.29, 0.3, 0.59, 0.6)] == ["dropped", "flagged", "flagged", "kept"]
-    assert [Gate().decision(0.0), Gate(min_quality=0.5).decision(0.4), Gate(flag=0.5).decision(0.4)] == [
+    qualities = (None, 0.29, 0.3, 0.59, 0.6)
+    assert [both.decision(each) for each in qualities] == ["dropped", "dropped", "flagged", "flagged", "kept"]
+    assert [Gate().decision(None), Gate(min_quality=0.0).decision(None), Gate(flag=0.5).decision(None)] == [
         "kept",
         "dropped",
         "flagged",
     ]
-    entries = [{"episode": episode, "quality": quality} for episode, quality in ((4, 0.1), (5, 0.5), (7, 0.9))]
+    entries = [{"episode": episode, "quality": quality} for episode, quality in ((4, None), (5, 0.5), (7, 0.9))]
     assert both.judge(entries) == {"dropped": [4], "flagged": [5]}
     with pytest.raises(CEIError, match=r"no episode of 3 reaches --min_quality=0\.95 \(the best has 0\.90\)"):
         Gate(0.95).judge(entries)
+    with pytest.raises(CEIError, match=r"no episode of 1 reaches --min_quality=0\.1 \(nothing is known of any\)"):
+        Gate(0.1).judge(entries[:1])
 
 
 @pytest.mark.parametrize(
@@ -142,7 +187,9 @@ def test_gate() -> None:
         (["--flag=-0.1"], 2, "--flag=-0.1: qualities are from 0 to 1."),
         (["--flag=nan"], 2, "--flag=nan should be a finite number."),
         (["--min_quality=0.5", "--flag=0.5"], 2, "--flag=0.5 marks nothing that --min_quality=0.5 keeps"),
-        (["--min_quality=1"], 1, "no episode of 5 reaches --min_quality=1 (the best has 0."),
+        (["--min_quality=0.5"], 2, "--min_quality is about the probability that an episode works, which nothing tells"),
+        (["--flag=0.5"], 2, "add --verify or --refine where the task has an environment, else --evidence"),
+        (["--evidence", "--min_quality=0.1"], 1, "no episode of 5 reaches --min_quality=0.1 (nothing is known of any)"),
     ],
 )
 def test_bad_bounds(
@@ -156,57 +203,42 @@ def test_bad_bounds(
 # -- conversions ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def scores(source: Path) -> np.ndarray:
-    """Of all episodes, from a conversion without a gate."""
-    root = source.with_name("ungated")
+def test_without_a_gate_all_are_kept(source: Path, tmp_path: Path, capsys: Any) -> None:
+    root = tmp_path / "out"
     assert convert.main(killed.arguments(source, root)) == 0
-    found = [record["quality"] for record in records(root)]
-    assert not any("flagged" in record for record in records(root))
-    assert [quality["score"] for quality in found] == [min(quality["parts"].values()) for quality in found]
-    return np.array([quality["score"] for quality in found])
-
-
-def test_the_gate_drops_and_flags(source: Path, scores: np.ndarray, tmp_path: Path, capsys: Any) -> None:
-    order = np.argsort(scores)
-    low, high = (float(scores[order[i : i + 2]].mean()) for i in (0, 2))
-    worst, *flagged = order[:3].tolist()
-    kept = [index for index in range(len(scores)) if index != worst]
-    root, result = tmp_path / "out", tmp_path / "result.json"
-    gate = [f"--min_quality={low}", f"--flag={high}"]
-    assert convert.main(killed.arguments(source, root, *gate, f"--json={result}")) == 0
-    printed = capsys.readouterr().out
-    assert (
-        f"Quality: dropped 1 (episode {worst}), flagged 2 (episode {', '.join(map(str, sorted(flagged)))})." in printed
-    )
-    assert [record["source_episode"] for record in records(root)] == kept
-    assert [record["source_episode"] for record in records(root) if record.get("flagged")] == sorted(flagged)
-    np.testing.assert_array_equal([record["quality"]["score"] for record in records(root)], scores[kept])
-    assert len(DatasetReader("me/out", root)) == len(kept)
-    found = json.loads(result.read_text())
-    assert found["gate"] == {"dropped": [worst], "flagged": sorted(flagged)}
-    assert [entry["episode"] for entry in found["results"]] == [each["episode"] for each in found["residuals"]] == kept
+    found = records(root)
+    assert not any({"flagged", "quality"} & set(record) for record in found)
+    for record in found:
+        assert record["fidelity"]["score"] == min(record["fidelity"]["parts"].values())
     card = (root / "README.md").read_text()
-    assert "are left out (1)" in card
-    assert (
-        f"`flagged` in `meta/cei_episodes.jsonl`: {', '.join(str(kept.index(index)) for index in sorted(flagged))}."
-        in card
-    )
-    assert "(meta/quality.png)" in card
-    # the picture is of all of them, whatever the user's own style is
-    before = Image.open(source.with_name("ungated") / "meta/quality.png")
-    after = Image.open(root / "meta/quality.png")
-    assert before.size == after.size
-    assert before.tobytes() != after.tobytes()
+    assert "Whether episodes work in contact is not known" in card and "(meta/quality.png)" in card
+    assert "quality" not in capsys.readouterr().out.split("Wrote")[0].replace("quality.png", "")
 
 
-def test_a_converted_dataset_that_is_converted_again_is_judged_anew(
-    source: Path, scores: np.ndarray, tmp_path: Path
-) -> None:
+def test_what_is_not_known_is_marked(source: Path, tmp_path: Path, capsys: Any) -> None:
+    """Arms that wave carry nothing, so no twin can judge them."""
+    root, result = tmp_path / "out", tmp_path / "result.json"
+    assert convert.main(killed.arguments(source, root, "--evidence", "--flag=0.5", f"--json={result}")) == 0
+    assert "Quality: dropped 0, flagged 5 (episode 0, 1, 2, 3, 4)." in capsys.readouterr().out
+    assert all(record["flagged"] and "quality" not in record for record in records(root))
+    assert json.loads(result.read_text())["gate"] == {"dropped": [], "flagged": [0, 1, 2, 3, 4]}
+    card = (root / "README.md").read_text()
+    assert "Those not known to work with 0.5 are `flagged` in `meta/cei_episodes.jsonl`: 0, 1, 2, 3, 4." in card
+
+
+def test_a_converted_dataset_that_is_converted_again_is_judged_anew(source: Path, tmp_path: Path) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
-    assert convert.main(killed.arguments(source, first, "--flag=1", "--episodes=0")) == 0
+    assert convert.main(killed.arguments(source, first, "--evidence", "--flag=1", "--episodes=0")) == 0
     assert records(first)[0]["flagged"]
     again = [arg.replace("me/pick", "me/first") for arg in killed.arguments(first, second)]
     assert convert.main(["--target=Panda-PandaGripper" if "--target=" in arg else arg for arg in again]) == 0
     assert "flagged" not in records(second)[0]
-    assert records(second)[0]["quality"] != records(first)[0]["quality"]
+    assert records(second)[0]["fidelity"] != records(first)[0]["fidelity"]
+
+
+def test_records_of_before_are_read() -> None:
+    old = {"quality": {"score": 0.7, "parts": {"reach": 0.7}}}
+    assert fidelity_of(old) == old["quality"] and quality_of(old) == {}
+    new = {"quality": {"probability": 0.9, "by": "twin"}, "fidelity": {"score": 0.7, "parts": {"reach": 0.7}}}
+    assert fidelity_of(new) == new["fidelity"] and quality_of(new) == new["quality"]
+    assert fidelity_of({}) == quality_of({}) == {}

@@ -140,7 +140,7 @@ def test_the_tables_stand_beside_the_papers(folder: Path) -> None:
         rows = {(row["stage"], row["robot"]): row for row in csv.DictReader(file)}
     assert [*rows] == [(stage, robot) for stage in ("replay", "policy") for robot in ("UR5e-XHand", "UR5e-AG95")]
     assert rows["replay", "UR5e-XHand"]["successes"] == rows["replay", "UR5e-XHand"]["of"] == "1"
-    assert 0.5 < float(rows["replay", "UR5e-XHand"]["quality_mean"]) < 1
+    assert 0.5 < float(rows["replay", "UR5e-XHand"]["fidelity_mean"]) < 1
     assert [rows["policy", robot]["paper_successes"] for robot in ("UR5e-XHand", "UR5e-AG95")] == ["10", "10"]
     text = (folder / "results/real.md").read_text()
     assert "| AG95 to XHand | PushCube | 0 of 1 | 0% to 79% | 0 of 1 | 0% to 79% | - | 10 of 10 | 10 of 10 |" in text

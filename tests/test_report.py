@@ -111,8 +111,8 @@ def test_the_table_has_what_records_and_replays_say(page: Html, job: Path) -> No
     assert len(rows) == EPISODES
     for row, record in zip(rows, Records(job / "out"), strict=True):
         assert row["source's"] == str(record["source_episode"])
-        assert float(row["quality"]) == pytest.approx(record["quality"]["score"], abs=0.006)
-        for part, share in record["quality"]["parts"].items():
+        assert float(row["fidelity"]) == pytest.approx(record["fidelity"]["score"], abs=0.006)
+        for part, share in record["fidelity"]["parts"].items():
             assert float(row[part]) == pytest.approx(share, abs=0.006), part
         assert float(row["pads (mm)"]) == pytest.approx(record["alignment"]["pad_distance_mm_mean"], abs=0.06)
         assert row["unreached"] == str(len(record["alignment"]["unreachable_frames"]))
@@ -141,13 +141,13 @@ def test_it_says_what_twins_show(job: Path, tmp_path: Path) -> None:
     page, found = Html((tmp_path / "report.html").read_text()), json.loads((tmp_path / "report.json").read_text())
     assert [row["twin"] for row in page.rows("episode")] == ["fails (0 of 4)", "holds (4 of 4)", "cannot be judged"]
     assert "cannot be judged (no clouds)" in Episode(0, 1, twin=Twin("cannot be judged", reason="no clouds")).why()[0]
-    assert found["shown"][0]["episode"] == 0  # the worst, whatever its quality
+    assert found["shown"][0]["episode"] == 0  # the worst, whatever its fidelity
     assert "Played in a scene built from its recording: fails (0 of 4 tries hold)." in found["shown"][0]["why"]
 
 
 def test_the_worst_fails_and_the_best_holds(page: Html, job: Path) -> None:
     found = json.loads((job / "report.json").read_text())
-    assert [each["episode"] for each in found["shown"]] == [2, 0]  # that which fails, whatever its quality
+    assert [each["episode"] for each in found["shown"]] == [2, 0]  # that which fails, whatever its fidelity
     assert "Replayed, it fails: slipped." in found["shown"][0]["why"]
     assert "Replayed slightly otherwise, it succeeds in 2 of 2." in found["shown"][1]["why"]
     for each in found["shown"]:
@@ -203,7 +203,7 @@ def test_a_dataset_alone_gets_a_page_that_says_what_is_not_known(job: Path, caps
     for said in (
         "recorded, not converted",
         "Whether episodes succeed in simulation: it names no environment to replay it in.",
-        "How good episodes are: their records have no quality",
+        "How well episodes follow: their records have no fidelity",
         "it has no point clouds",
         "How it looks in motion: --films.",
     ):
@@ -217,7 +217,7 @@ def test_memory_has_the_worst_of_many() -> None:
     n = 5 * MOST
     scores = np.random.default_rng(0).permutation(n) / n
     replayed = {7: Replayed("slipped"), 8: Replayed("", (True, False))}
-    many = (Episode(i, 10, score=float(scores[i]), replayed=replayed.get(i)) for i in range(n))
+    many = (Episode(i, 10, fidelity=float(scores[i]), replayed=replayed.get(i)) for i in range(n))
     summary = Summary.of(many)
     assert (summary.count, summary.frames, len(summary.rows())) == (n, 10 * n, MOST)
     assert summary.median == pytest.approx(np.median(scores))
@@ -236,9 +236,9 @@ def hostile(job: Path) -> Path:
     root = shutil.copytree(job / "out", job / "hostile")
     record = Records(root)[0]
     alignment = record["alignment"] | {"penetrates": BAD, "unreachable_because": BAD, "unreachable_frames": [0]}
-    quality = {"score": 0.1, "parts": {"reach": 0.1, BAD: 0.5}}
+    fidelity, quality = {"score": 0.1, "parts": {"reach": 0.1, BAD: 0.5}}, {"probability": 0.1, "by": BAD}
     said = {"success": False, "how": BAD, "failure": BAD, "attempts": 1}
-    change(root, 0, alignment=alignment, quality=quality, verified=said, **{BAD: BAD})
+    change(root, 0, alignment=alignment, fidelity=fidelity, quality=quality, verified=said, **{BAD: BAD})
     path = root / METADATA_PATH
     metadata = json.loads(path.read_text())
     provenance = metadata["provenance"]
@@ -261,12 +261,25 @@ def test_a_strangers_text_stays_text(hostile: Path) -> None:
 
 def test_records_of_other_shapes_are_no_crash(job: Path, tmp_path: Path) -> None:
     root = shutil.copytree(job / "out", tmp_path / "out")
-    change(root, 0, quality=[1], alignment="x", verified=3, source_episode="0")
-    change(root, 1, quality={"score": 7, "parts": {"reach": "x", "limits": True}}, alignment={"a": [[]]}, verified={})
-    change(root, 2, quality={"score": float("nan")}, verified={"held": "x", "how": ["y"], "success": 0})
+    change(root, 0, fidelity=[1], quality=[1], alignment="x", verified=3, source_episode="0")
+    change(
+        root,
+        1,
+        quality={"probability": 7, "by": 3},
+        fidelity={"score": 7, "parts": {"reach": "x", "limits": True}},
+        alignment={"a": [[]]},
+        verified={},
+    )
+    change(
+        root,
+        2,
+        fidelity={"score": float("nan"), "parts": 3},
+        quality={"probability": "x"},
+        verified={"held": "x", "how": ["y"], "success": 0},
+    )
     assert cei_report.main([*dataset(root), f"--output={tmp_path / 'r.html'}"]) == 0
     rows = Html((tmp_path / "r.html").read_text()).rows("episode")
-    assert len(rows) == EPISODES and "quality" not in rows[0]
+    assert len(rows) == EPISODES and not {"fidelity", "quality"} & set(rows[0])
 
 
 def test_a_name_that_the_template_does_not_get_is_an_error() -> None:

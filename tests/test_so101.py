@@ -48,7 +48,7 @@ def test_its_jaws_meet_where_its_pads_are(tmp_path: Path, capsys: pytest.Capture
     assert run(tmp_path, "--episodes=0,3") == 0
     result = json.loads((tmp_path / "result.json").read_text())
     for episode in result["results"]:
-        assert episode["pad_distance_mm_mean"] < 5 and episode["quality"] > 0.9
+        assert episode["pad_distance_mm_mean"] < 5 and episode["fidelity"] > 0.9
         assert not episode["unreachable_frames"]
     # what is not as it was is said, and kept
     printed = capsys.readouterr().out

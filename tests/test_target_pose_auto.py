@@ -106,7 +106,7 @@ def test_the_place_of_the_source_is_kept_where_it_is_as_good() -> None:
     found = find_place(Transfer(source, source), shown, shown)
     assert found.kept and found.chosen is found.source
     np.testing.assert_array_equal(found.chosen.T_world_base, shown[0].scene.T_world_base)
-    assert found.chosen.out_of_reach == 0 and found.chosen.quality > 0.95
+    assert found.chosen.out_of_reach == 0 and found.chosen.fidelity > 0.95
     # others were looked at, all around
     assert len(found.scored) > 100 and np.ptp(found.scored[:, 0]) > 1 and np.ptp(found.scored[:, 1]) > 1
     assert told(found).startswith("target_pose: auto: no place searched is better than the source's by 10 mm of cost")
@@ -153,7 +153,7 @@ def test_one_line_says_it_and_what_is_gone_on_with_does_not_search_again(
     x, y, z = (f"{row[3]:.4g}" for row in found["chosen"]["T_world_base"][:3])
     assert f"auto: base at {x}, {y}, {z} m, turned by " in said
     n = found["frames"]
-    assert f"over {n} frames of 2 episodes: quality " in said and f"out of reach 0 of {n}" in said
+    assert f"over {n} frames of 2 episodes: fidelity " in said and f"out of reach 0 of {n}" in said
     assert re.search(rf"\(source's place: .*out of reach {found['source']['out_of_reach']} of {n}", said)
     assert not root.exists()
     monkeypatch.setattr(Converter, "find_place", never)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cei_gym.alignment.follow import Follower
-from cei_gym.alignment.judge.quality import assess
+from cei_gym.alignment.judge.fidelity import assess
 from cei_gym.alignment.judge.report import pad_residuals
 from cei_gym.alignment.options import AUTO, SolverOptions
 from cei_gym.alignment.problem import AlignmentProblem, Motion, Surroundings
@@ -41,7 +41,7 @@ _MANIPULABILITY_WEIGHT_M = 0.01  # of cost for a singular arm in all frames, and
 _MANIPULABLE = 0.3  # share of its best that is enough
 _LIMIT_WEIGHT_M = 0.01  # the same for a joint of the arm at a limit
 _MARGIN = 0.05  # share of its range that is enough
-_QUALITY_WEIGHT_M = 0.02  # of cost for a followed demonstration of no quality
+_FIDELITY_WEIGHT_M = 0.02  # of cost for a followed demonstration of no fidelity
 _AMONG_WEIGHT = 1.0  # metres of cost a metre that the base stands among what the hand works on
 _AWAY_WEIGHT_M = 0.005  # of cost for each: a reach away from where the source stands, and half a turn; of equals the nearest is taken
 _SAME_HEIGHT_M = 0.05
@@ -55,7 +55,7 @@ class Standing:
         T_world_base: (4, 4) of its base.
         yaw_rad: how far it is turned against the source's base.
         cost_m: lower is better, metres; the mean objective of followed demonstrations, and penalties.
-        quality: of the worst demonstration that is followed, from 0 to 1 (`alignment/judge/quality`).
+        fidelity: of the worst demonstration that is followed, from 0 to 1 (`alignment/judge/fidelity`).
         out_of_reach: of the sampled frames, how many pads stay farther from than `unreachable_mm`.
         pad_distance_mm: at the worst of them.
         manipulability: at the worst of them: the least singular value of the arm's Jacobian, as a share of its best.
@@ -67,7 +67,7 @@ class Standing:
     T_world_base: Array
     yaw_rad: float
     cost_m: float
-    quality: float
+    fidelity: float
     out_of_reach: int
     pad_distance_mm: float
     manipulability: float
@@ -190,7 +190,7 @@ class Judging:
         whole = [side.motion(each, home) for each in self._whole]
         following.fit(whole)
         basin = following.basins[0]
-        quality = min(assess(following.follow(each, 0)[1]).score for each in whole)
+        fidelity = min(assess(following.follow(each, 0)[1]).score for each in whole)
         points, normals = self._seen_from(T, np.arange(len(self.points_world)))
         surroundings = Surroundings(self._support_z_m - float(position_m[2]))
         # Each demonstration from where it starts, as it will be followed.
@@ -205,8 +205,8 @@ class Judging:
         return Standing(
             T,
             yaw_rad,
-            basin.cost + cost_m + self._of_place(position_m, yaw_rad) + _QUALITY_WEIGHT_M * (1.0 - quality),
-            quality,
+            basin.cost + cost_m + self._of_place(position_m, yaw_rad) + _FIDELITY_WEIGHT_M * (1.0 - fidelity),
+            fidelity,
             int((away_mm > transfer.options.unreachable_mm).sum()),
             float(away_mm.max()),
             float(manipulability.min()),

@@ -29,7 +29,7 @@ EXAMPLE = """example:
       --episodes=0,3,5 --dry_run
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa --verify --verify.drop
   cei-convert --dataset.repo_id=me/pick_panda --target=IIWA-Inspire --new_repo_id=me/pick_iiwa \\
-      --min_quality=0.3 --flag=0.6 --push_to_hub --branch=iiwa
+      --evidence --min_quality=0.5 --flag=0.8 --push_to_hub --branch=iiwa
   cei-convert --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --calibration=cameras.yaml \\
       --target=IIWA-Inspire --new_repo_id=me/real_iiwa --cameras.paint
   cei-convert --dataset.repo_id=me/pick_panda --episodes=0 --target=UR5e-FourierRight --new_repo_id=me/pick_anywhere \\
@@ -39,7 +39,7 @@ EXAMPLE = """example:
 
 
 def convert(config: ConvertConfig) -> dict[str, Any]:
-    """Convert a dataset; print a table of the quality of each episode.
+    """Convert a dataset; print a table of how good each episode is.
 
     Returns:
         The result: source, target, under `results` one entry an episode, under `verify` what replaying showed, if asked for,

@@ -81,13 +81,6 @@ def of_policy(result: Mapping[str, Any] | None) -> Rate | None:
     return None if result is None else Rate(sum(result["successes"]), len(result["successes"]))
 
 
-def quality_of(result: Mapping[str, Any] | None) -> float | None:
-    """The quality of a cell's conversions, from 0 to 1, a mean over episodes; None where nothing was converted."""
-    alignment: list[dict[str, Any]] = [] if result is None else result.get("alignment", [])
-    qualities = [float(episode["quality"]) for episode in alignment]
-    return sum(qualities) / len(qualities) if qualities else None
-
-
 def failures_of(result: Mapping[str, Any] | None) -> str:
     """Why replays of a cell failed, and how many each."""
     failures: dict[str, int] = {} if result is None else result["replay"]["failures"]

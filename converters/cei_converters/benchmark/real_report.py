@@ -7,13 +7,14 @@ from typing import Any
 
 from cei_converters.benchmark import paper
 from cei_converters.benchmark.marks import mark_of
-from cei_converters.benchmark.real_found import Found, Pair, Rate, failures_of, of_paper, quality_of
+from cei_converters.benchmark.real_found import Found, Pair, Rate, failures_of, of_paper
 from cei_converters.benchmark.real_tasks import RealTask, transfer_ratio
+from cei_converters.benchmark.results import fidelity_mean
 
 TABLE, DATA = "real.md", "real.csv"
 _COLUMNS = (
     *("task", "direction", "robot", "stage", "successes", "of", "wilson_low", "wilson_high"),
-    *("quality_mean", "failures", "paper_successes", "paper_of", "commit"),
+    *("fidelity_mean", "failures", "paper_successes", "paper_of", "commit"),
 )
 _DIFFERENCES = f"""What differs from the paper: physics are simulated (MuJoCo), where it has robots; the arm is a UR5e, where it has a UR5; a scripted \
 expert that varies as people do demonstrates, where people teleoperate; clouds are of one exact depth camera; DP3 has a small network; the paper \
@@ -109,20 +110,23 @@ def _about_replays(found: Found) -> str:
     first, last = next(iter(found.replays.values()))["seeds"]
     return (
         f"{last - first + 1} demonstrations of the source (seeds {first} to {last}), converted with default options and replayed in physics on the target, "
-        "from the same starts. Quality is the conversion's, 0 to 1, a mean over episodes. The last columns are of the source itself: its own demonstrations "
+        "from the same starts. Fidelity is how well pads follow, 0 to 1, a mean over episodes. The last columns are of the source itself: its own demonstrations "
         "replayed, and how many its script failed to make, which are not replayed."
     )
 
 
 def _replays(found: Found) -> str:
-    header = ["", "task", "on the target", "95 %", "quality", "failures", "on the source", "not demonstrated"]
+    header = ["", "task", "on the target", "95 %", "fidelity", "failures", "on the source", "not demonstrated"]
     lines = [header, ["---"] * len(header)]
     for task in found.tasks:
         target, own = found.replayed(task)
         if (result := found.replays.get(task.replayed) or found.replays.get(task.recorded)) is not None:
-            quality = quality_of(result)
+            fidelity = fidelity_mean(result)
             first, last = result["seeds"]
-            said = ["-" if quality is None else f"{quality:.2f}", failures_of(found.replays.get(task.replayed)) or "-"]
+            said = [
+                "-" if fidelity is None else f"{fidelity:.2f}",
+                failures_of(found.replays.get(task.replayed)) or "-",
+            ]
             absent = str(last - first + 1 - len(result["source_seeds"]))
             lines.append([task.direction, task.name, _text(target), _interval(target), *said, _text(own), absent])
     return _table(lines)
@@ -159,9 +163,12 @@ def _csv_rows(found: Found) -> Iterator[dict[str, Any]]:
             ):
                 if rate is None or result is None:
                     continue
-                quality = quality_of(result)
+                fidelity = fidelity_mean(result)
                 values = (task.name, task.direction, robot, stage, rate.successes, rate.of)
                 interval = (round(bound, 3) for bound in rate.interval)
-                said = ("" if quality is None else round(quality, 3), failures_of(result) if stage == "replay" else "")
+                said = (
+                    "" if fidelity is None else round(fidelity, 3),
+                    failures_of(result) if stage == "replay" else "",
+                )
                 beside = ("", "") if figure is None else (figure.successes, figure.of)
                 yield dict(zip(_COLUMNS, (*values, *interval, *said, *beside, result["commit"]), strict=True))

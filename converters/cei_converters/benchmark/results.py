@@ -83,6 +83,14 @@ def read_cell(path: Path, settings: Mapping[str, Any]) -> dict[str, Any] | None:
     return found
 
 
+def fidelity_mean(cell: Mapping[str, Any] | None) -> float | None:
+    """How well pads follow in a cell's conversions, from 0 to 1, a mean over episodes; None where nothing was converted. Cells of before called
+    it quality."""
+    entries: list[dict[str, Any]] = [] if cell is None else cell.get("alignment", [])
+    found = [float(entry["fidelity"] if "fidelity" in entry else entry["quality"]) for entry in entries]
+    return sum(found) / len(found) if found else None
+
+
 def source_of(found: Mapping[str, Any]) -> str:
     """Whose demonstrations a finished cell's are."""
     return str(found.get("source", UNSAID["source"]))

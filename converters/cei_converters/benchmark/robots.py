@@ -6,7 +6,7 @@ from typing import Any
 
 from cei_converters.benchmark.cells import SOURCE, TARGETS, TASKS, Cell, listed_tasks, split
 from cei_converters.benchmark.marks import mark_of
-from cei_converters.benchmark.results import Results, load_cell, source_of
+from cei_converters.benchmark.results import Results, fidelity_mean, load_cell, source_of
 from cei_gym.embodiment import check_embodiment, load_embodiment
 
 type Found = Mapping[Cell, Mapping[str, Any]]
@@ -75,8 +75,7 @@ def rows(found: Found) -> list[dict[str, Any]]:
         cell: (cell.task, cell.target != source_of(result), cell.target, cell.variant) for cell, result in found.items()
     }
     for cell in sorted(found, key=lambda cell: order[cell]):
-        replay, alignment = found[cell]["replay"], found[cell].get("alignment", [])
-        qualities = [episode["quality"] for episode in alignment]
+        replay, fidelity = found[cell]["replay"], fidelity_mean(found[cell])
         listed.append(
             {
                 "task": cell.task,
@@ -87,7 +86,7 @@ def rows(found: Found) -> list[dict[str, Any]]:
                 "episodes": replay["episodes"],
                 "interval_95": [round(bound, 3) for bound in replay["interval_95"]],
                 "perturbed": replay.get("perturbed"),
-                "quality_mean": round(sum(qualities) / len(qualities), 3) if qualities else None,
+                "fidelity_mean": None if fidelity is None else round(fidelity, 3),
                 "seconds": round(sum(found[cell]["seconds"].values()), 1),
                 "failures": replay["failures"],
             }
@@ -104,7 +103,7 @@ def robots_markdown(rows: Sequence[Mapping[str, Any]], commits: Iterable[str]) -
         "success": lambda row: f"{row['successes']} of {row['episodes']}",
         "95 % (Wilson)": lambda row: "{:.0%} to {:.0%}".format(*row["interval_95"]),
         "perturbed": lambda row: "-" if row["perturbed"] is None else _held(row["perturbed"]),
-        "quality": lambda row: "-" if row["quality_mean"] is None else f"{row['quality_mean']:.2f}",
+        "fidelity": lambda row: "-" if row["fidelity_mean"] is None else f"{row['fidelity_mean']:.2f}",
         "seconds": lambda row: f"{row['seconds']:.0f}",
         "failures": lambda row: ", ".join(f"{reason}: {count}" for reason, count in row["failures"].items()) or "-",
     }
@@ -115,7 +114,7 @@ def robots_markdown(rows: Sequence[Mapping[str, Any]], commits: Iterable[str]) -
         del columns["perturbed"]
     lines = [[*columns], ["---"] * len(columns), *([text(row) for text in columns.values()] for row in rows)]
     about = (
-        f"Demonstrations of {_sources(rows)}, converted for each robot and replayed in physics from the same starts. Quality is the conversion's, 0 to 1,"
+        f"Demonstrations of {_sources(rows)}, converted for each robot and replayed in physics from the same starts. Fidelity is how well pads follow, 0 to 1,"
         " a mean over episodes; seconds are those of converting and replaying all of them on one core."
     )
     if refined:

@@ -45,8 +45,8 @@ class ConvertConfig:
     steps: list[str] | None = None  # Steps of installed packages, in this order, such as [paint].
     allow_unreachable: bool = False  # Keep episodes in which the target cannot reach every frame.
     privileged_state: bool = False  # Let policies see the state of objects, as observation.environment_state.
-    min_quality: float | None = None  # Leave out episodes whose quality, from 0 to 1, is lower.
-    flag: float | None = None  # Keep episodes whose quality is lower, and mark them.
+    min_quality: float | None = None  # Leave out what is not known to work with this probability, from 0 to 1.
+    flag: float | None = None  # Keep what is not known to work with this one, and mark it.
     drop_strays: bool = False  # Leave out episodes in which the target goes another way in its joints.
     push_to_hub: bool = False  # Upload the converted dataset.
     private: bool = False  # Make the uploaded dataset private.
@@ -82,6 +82,12 @@ class ConvertConfig:
         check_range("--shard_episodes", self.shard_episodes, 1)
         check_overwrite(self.overwrite, self.json)
         _ = self.gate  # which checks itself
+        for name in self.gate.bounds:
+            if not (self.evidence.enabled or self.replays):
+                raise CEIError(
+                    f"--{name} is about the probability that an episode works, which nothing tells here: add --verify or --refine where the task has an "
+                    "environment, else --evidence (a twin of the recording)."
+                )
         if self.executor not in EXECUTORS:
             raise unknown("executor", self.executor, EXECUTORS)
         if self.dry_run:

@@ -18,7 +18,17 @@ if TYPE_CHECKING:
     from cei_converters.sources.source import Source
 
 _TRACES = ("pad_distance_mm", "normal_angle_deg")
-_OF_THE_SOURCE = ("verified", "evidence", "source_frames", "flagged", "offset", "painted", "painting")
+_OF_THE_SOURCE = (
+    "fidelity",
+    "quality",
+    "verified",
+    "evidence",
+    "source_frames",
+    "flagged",
+    "offset",
+    "painted",
+    "painting",
+)
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,7 @@ class Encode:
         return own.joined(made.carried.encode(self.reader.carried)).joined(pictures)
 
     def _outcome(self, judged: Judged) -> Outcome:
-        made, quality = judged.retargeted, judged.quality
+        made, fidelity, quality = judged.retargeted, judged.fidelity, judged.quality
         moved, report, verdict, recorded = made.demonstration, made.report, made.verdict, made.recorded
         summary = report.summary() | ({"mode": made.mode} if self.modes > 1 else {})
         offset = {} if recorded.offset is None else {"offset": plain(recorded.offset)}
@@ -69,8 +79,9 @@ class Encode:
             "frames": len(moved),
             **figures,
             **summary,
-            "quality": quality.score,
-            "weakest": quality.weakest,
+            "quality": quality.probability,
+            "fidelity": fidelity.score,
+            "weakest": fidelity.weakest,
         }
         known = {
             name: value for name, value in self.reader.record(recorded.index).items() if name not in _OF_THE_SOURCE
@@ -79,7 +90,8 @@ class Encode:
             **known,
             "source_episode": recorded.index,
             **offset,
-            "quality": {"score": quality.score, "parts": quality.parts},
+            "fidelity": {"score": fidelity.score, "parts": fidelity.parts},
+            **({"quality": found} if (found := quality.record()) else {}),
             **({"flagged": True} if judged.flagged else {}),
             **({} if verdict is None else {"verified": verdict.record()}),
             **({} if made.evidence is None else {"evidence": made.evidence.record()}),
@@ -89,7 +101,7 @@ class Encode:
             **figures,
             "alignment": summary,
         }
-        worst = quality.frame
+        worst = fidelity.frame
         of_source = worst if moved.source_frames is None else moved.source_frames[worst]
         cut = recorded.demonstration.source_frames
         if cut is not None:  # by a step: where it shows that frame

@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
+from cei_converters.conversion.quality import Quality
 from cei_converters.conversion.verdict import Verdict
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.carried import Carried
 from cei_converters.dataset.encoded import EncodedEpisode
 from cei_converters.dataset.writer import Header
 from cei_gym.alignment import AlignmentReport
-from cei_gym.alignment.judge.quality import Quality
+from cei_gym.alignment.judge.fidelity import Fidelity
 from cei_gym.augmentation import Offset
 from cei_gym.demonstration import Demonstration
 from cei_gym.twin.evidence import Evidence
@@ -80,12 +81,14 @@ class Judged:
 
     Attributes:
         retargeted: what is judged.
-        quality: its score.
+        fidelity: how well it follows the source.
+        quality: how likely it works, if that is known.
         flagged: whether it is to be marked.
         left_out: why it is left out of the dataset; empty if it is not.
     """
 
     retargeted: Retargeted
+    fidelity: Fidelity
     quality: Quality
     flagged: bool
     left_out: str
@@ -93,7 +96,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Worst:
-    """The frame in which an episode's quality is lowest, and both robots' (n,) joints there, rad or m."""
+    """The frame in which an episode's fidelity is lowest, and both robots' (n,) joints there, rad or m."""
 
     frame: int
     qpos_source: list[float]

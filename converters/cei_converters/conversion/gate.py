@@ -1,4 +1,4 @@
-"""The quality gate: which converted episodes are left out for a low score, and which are marked."""
+"""The quality gate: which converted episodes are left out, as they are not likely enough to work, and which are marked."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from cei_gym.errors import CEIError
 
 KEPT, FLAGGED, DROPPED = "kept", "flagged", "dropped"
 LOW_QUALITY = "of low quality"
-"""Why a dropped episode is left out."""
+"""Why a dropped episode is left out: it is not known to be likely enough to work."""
 ANOTHER_WAY = "goes another way"
 """Why an episode is left out that would teach a policy something else than the others do."""
 FAILS_IN_TWIN = "fails in its twin"
@@ -19,7 +19,7 @@ _SHOWN = 10
 
 @dataclass(frozen=True)
 class Gate:
-    """Bounds on the score of an episode (`cei_gym.alignment.Quality`), each in [0, 1] or None.
+    """Bounds on an episode's quality, the probability that it works, each in [0, 1] or None. What nothing is known of is below any.
 
     Attributes:
         min_quality: what is below is left out.
@@ -46,17 +46,18 @@ class Gate:
         """The bounds that are given, by the name of their option."""
         return {name: bound for name, bound in vars(self).items() if bound is not None}
 
-    def decision(self, score: float) -> str:
-        """What becomes of an episode: KEPT, FLAGGED or DROPPED."""
-        if self.min_quality is not None and score < self.min_quality:
+    def decision(self, probability: float | None) -> str:
+        """What becomes of an episode that works with a probability, None if that is not known: KEPT, FLAGGED or DROPPED."""
+        likely = -1.0 if probability is None else probability
+        if self.min_quality is not None and likely < self.min_quality:
             return DROPPED
-        return FLAGGED if self.flag is not None and score < self.flag else KEPT
+        return FLAGGED if self.flag is not None and likely < self.flag else KEPT
 
     def judge(self, entries: Sequence[dict[str, Any]]) -> dict[str, list[int]]:
         """The result of a gated conversion: which episodes are `dropped` and which `flagged`.
 
         Args:
-            entries: per episode `episode` and its score, `quality`.
+            entries: per episode `episode` and its `quality`, a probability or None.
 
         Raises:
             CEIError: all are dropped.
@@ -66,10 +67,10 @@ class Gate:
             decision: [episode for episode, its in decisions if its == decision] for decision in (DROPPED, FLAGGED)
         }
         if entries and len(found[DROPPED]) == len(entries):
-            best = max(entry["quality"] for entry in entries)
+            known = [entry["quality"] for entry in entries if entry["quality"] is not None]
+            best = f"the best has {max(known):.2f}" if known else "nothing is known of any"
             raise CEIError(
-                f"no episode of {len(entries)} reaches --min_quality={self.min_quality:g} (the best has {best:.2f}), so all "
-                "are dropped and nothing is written; lower it."
+                f"no episode of {len(entries)} reaches --min_quality={self.min_quality:g} ({best}), so all are dropped and nothing is written; lower it."
             )
         return found
 

@@ -63,7 +63,7 @@ class Summary:
 
 
 def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Summary:
-    """Print a table of the episodes' quality, and a sentence on each thing that leaves some out.
+    """Print a table of how good episodes are, and a sentence on each thing that leaves some out.
 
     Args:
         place: with all shards.
@@ -112,6 +112,10 @@ def summarise_conversion(place: StagingDirectory, plan: Plan, title: str) -> Sum
     return Summary(entries, verified, judged, augmented, strays, witnessed)
 
 
+def _how_good(row: dict[str, Any]) -> tuple[float, float]:
+    return 1.0 if row.get("quality") is None else row["quality"], row["fidelity"]
+
+
 def _print_rows(rows: list[dict[str, Any]], title: str) -> None:
     """A row an episode, or of many episodes the worst and a row of means; no column that is empty throughout, nor of sentences."""
     names = dict.fromkeys(name for row in rows for name in row)
@@ -119,10 +123,12 @@ def _print_rows(rows: list[dict[str, Any]], title: str) -> None:
     shown = [name for name in names if name not in sentences and any(row.get(name) is not None for row in rows)]
     rows = [{name: row.get(name) for name in shown} for row in rows]
     if len(rows) > _ROWS:
-        title += f": of {len(rows)} episodes, the {_WORST} of lowest quality, and the mean of all"
+        title += (
+            f": of {len(rows)} episodes, the {_WORST} least likely to work, or of lowest fidelity, and the mean of all"
+        )
         numbers = [name for name, value in rows[0].items() if isinstance(value, (int, float)) and name != "episode"]
         mean = {name: float(np.mean([row[name] for row in rows])) for name in numbers}
-        rows = [*sorted(rows, key=lambda row: row["quality"])[:_WORST], {"episode": "mean", **mean}]
+        rows = [*sorted(rows, key=_how_good)[:_WORST], {"episode": "mean", **mean}]
     print_table(rows, title)
 
 

@@ -84,7 +84,7 @@ def note_on_simulation(target: "Embodiment", placement: Placement, environment: 
 
 def _figures(standing: Standing, frames: int) -> str:
     figures = [
-        f"quality {standing.quality:.2f}",
+        f"fidelity {standing.fidelity:.2f}",
         f"out of reach {standing.out_of_reach} of {frames}",
         f"worst pad error {standing.pad_distance_mm:.1f} mm",
         f"least manipulability {standing.manipulability:.2f} of the arm's best",

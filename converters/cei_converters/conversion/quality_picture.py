@@ -1,4 +1,4 @@
-"""Quality of a whole conversion in one picture: how scores are distributed, and where the worst episodes are worst."""
+"""How good a whole conversion is, in one picture: fidelity, where it is known quality, and where the worst episodes are worst."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -34,21 +34,25 @@ def write_summary(path: Path, outcomes: Iterable[Outcome], gate: Gate, converter
         gate: what became of which.
         converter: that converted them.
     """
-    measured, decisions = [], []
+    measured, decisions, likely = [], [], []
     worst: list[tuple[float, int, Outcome]] = []  # score, position, outcome
     for position, outcome in enumerate(outcomes):
-        quality = outcome.record["quality"]
-        measured.append((quality["score"], *quality["parts"].values()))
+        fidelity = outcome.record["fidelity"]
+        measured.append((fidelity["score"], *fidelity["parts"].values()))
         decisions.append(_decision(outcome, gate))
-        worst = sorted([*worst, (quality["score"], position, outcome)], key=lambda each: each[:2])[:_WORST]
-    names, values = list(worst[0][2].record["quality"]["parts"]), np.array(measured)
+        likely.append(outcome.entry["quality"])
+        worst = sorted([*worst, (fidelity["score"], position, outcome)], key=lambda each: each[:2])[:_WORST]
+    names, values = list(worst[0][2].record["fidelity"]["parts"]), np.array(measured)
     pictures = _portraits([outcome.worst for _, _, outcome in worst], converter)
     with mpl.rc_context(mpl.rcParamsDefault):  # whatever the user's own style is
         figure = Figure(figsize=(15, 8.7), dpi=_DPI, layout="constrained")
         above, below = figure.subfigures(2, 1, height_ratios=(1, 1.9), squeeze=False)[:, 0]
-        histogram, parts = above.subplots(1, 2)
-        _draw_scores(histogram, values[:, 0], decisions, gate)
+        known = [each for each in likely if each is not None]
+        histogram, parts, *beside = above.subplots(1, 3 if known else 2)
+        _draw_scores(histogram, values[:, 0], decisions)
         _draw_parts(parts, names, values[:, 1:], decisions)
+        for axes in beside:
+            _draw_qualities(axes, known, len(likely), gate)
         below.suptitle(
             "The worst episodes (numbered as in the source), each where it is worst; red its pads, blue the source's",
             fontsize=12,
@@ -63,10 +67,10 @@ def write_summary(path: Path, outcomes: Iterable[Outcome], gate: Gate, converter
 
 
 def _decision(outcome: Outcome, gate: Gate) -> str:
-    return DROPPED if outcome.left_out else gate.decision(outcome.record["quality"]["score"])
+    return DROPPED if outcome.left_out else gate.decision(outcome.entry["quality"])
 
 
-def _draw_scores(axes: Axes, scores: Array, decisions: Sequence[str], gate: Gate) -> None:
+def _draw_scores(axes: Axes, scores: Array, decisions: Sequence[str]) -> None:
     shown = [decision for decision in _COLOURS if decision in decisions]
     axes.hist(
         [scores[np.array(decisions) == decision] for decision in shown],
@@ -75,13 +79,26 @@ def _draw_scores(axes: Axes, scores: Array, decisions: Sequence[str], gate: Gate
         color=[_COLOURS[decision] for decision in shown],
         label=[f"{decision}: {decisions.count(decision)}" for decision in shown],
     )
-    for style, (name, bound) in zip(("-", "--"), gate.bounds.items(), strict=False):
-        axes.axvline(bound, color="0.3", ls=style, lw=1, label=f"--{name}={bound:g}")
-    axes.set(title=f"{len(scores)} episodes, median {np.median(scores):.2f}", xlabel="quality", ylabel="episodes")
+    axes.set(
+        title=f"{len(scores)} episodes, median {np.median(scores):.2f}",
+        xlabel="fidelity: how well pads follow",
+        ylabel="episodes",
+    )
     axes.set_xlim(0, 1)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.margins(y=0.25)  # room for the key
     axes.legend(loc="upper center", ncols=5, fontsize=8)
+
+
+def _draw_qualities(axes: Axes, known: Sequence[float], of: int, gate: Gate) -> None:
+    axes.hist(known, _BINS, color=_COLOURS[KEPT])
+    for style, (name, bound) in zip(("-", "--"), gate.bounds.items(), strict=False):
+        axes.axvline(bound, color="0.3", ls=style, lw=1, label=f"--{name}={bound:g}")
+    axes.set(title=f"Known of {len(known)} of {of}", xlabel="quality: the probability that it works", ylabel="episodes")
+    axes.set_xlim(0, 1)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    if gate.bounds:
+        axes.legend(loc="upper center", ncols=2, fontsize=8)
 
 
 def _draw_parts(axes: Axes, names: Sequence[str], parts: Array, decisions: Sequence[str]) -> None:
@@ -91,7 +108,7 @@ def _draw_parts(axes: Axes, names: Sequence[str], parts: Array, decisions: Seque
     for row in range(len(names)):
         axes.scatter(parts[:, row], row + spread, s=12, c=colours, alpha=0.7)
     axes.set(xlim=(0, 1.02), yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.5, -0.5))
-    axes.set(xlabel="each part of it; an episode's worst is its quality", title="What it is made of")
+    axes.set(xlabel="each part of it; an episode's worst is its fidelity", title="What it is made of")
     axes.grid(axis="x", alpha=0.3)
 
 
@@ -99,7 +116,7 @@ def _draw_worst(axes: Axes, outcome: Outcome, decision: str, picture: Array) -> 
     entry, frame = outcome.entry, outcome.worst.frame
     axes.imshow(picture)
     axes.set(xticks=[], yticks=[])
-    title = f"episode {entry['episode']}: {entry['quality']:.2f}\n{entry['weakest']}, frame {frame}"
+    title = f"episode {entry['episode']}: {entry['fidelity']:.2f}\n{entry['weakest']}, frame {frame}"
     axes.set_title(
         title if decision == KEPT else f"{title}, {decision}",
         fontsize=11,

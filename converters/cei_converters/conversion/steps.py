@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 from cei_converters.conversion.augment import Augmentation
 from cei_converters.conversion.episode import Judged, Recorded, Retargeted
 from cei_converters.conversion.gate import ANOTHER_WAY, DROPPED, FAILS_IN_TWIN, FLAGGED, LOW_QUALITY, Gate
+from cei_converters.conversion.quality import Quality
 from cei_converters.dataset.cameras import Pictures
 from cei_converters.dataset.carried import Carried
 from cei_gym import plugins
-from cei_gym.alignment.judge.quality import assess
+from cei_gym.alignment.judge.fidelity import assess
 from cei_gym.errors import CEIError
 from cei_gym.twin.evidence import FAILS
 
@@ -190,9 +191,9 @@ class Judge:
     drop_failing: bool
 
     def __call__(self, made: Retargeted) -> Judged:
-        quality = assess(made.report)
-        decision = self.gate.decision(quality.score)
-        return Judged(made, quality, decision == FLAGGED, self._left_out(made, decision))
+        quality = Quality.of(made.verdict, made.evidence)
+        decision = self.gate.decision(quality.probability)
+        return Judged(made, assess(made.report), quality, decision == FLAGGED, self._left_out(made, decision))
 
     def _left_out(self, made: Retargeted, decision: str) -> str:
         """Why it is left out of the dataset; empty if it is not. Recorded ones that are unreachable end the conversion."""

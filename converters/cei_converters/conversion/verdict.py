@@ -30,6 +30,7 @@ class Verdict:
         held, plain_held: with refinement, which share of replays succeeded of the way that is kept, and of the plain one; these chose it, so
             fresh ones (`cei-replay --perturb`) may show less.
         replays: how many there were.
+        judged: how many replays of the way that is kept its share is of.
         corrected: the correction that is kept, if one is.
     """
 
@@ -42,7 +43,13 @@ class Verdict:
     held: float | None = None
     plain_held: float | None = None
     replays: int | None = None
+    judged: int = 1
     corrected: Corrected | None = None
+
+    @property
+    def share(self) -> float:
+        """Which share of replays succeeds of the way that is kept."""
+        return float(self.success) if self.held is None else self.held
 
     @classmethod
     def decode(cls, stored: dict[str, Any]) -> Self:

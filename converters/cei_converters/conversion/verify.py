@@ -121,7 +121,8 @@ class Verifier:
             self._options.drop and bool(best.held.failure),
         )
         if refine is not None:
-            verdict = replace(verdict, held=best.share, plain_held=plain.share, replays=trials.replays)
+            judged = 1 + len(best.held.perturbed)
+            verdict = replace(verdict, held=best.share, plain_held=plain.share, replays=trials.replays, judged=judged)
         if best.attempt.correction is not None:
             verdict = replace(verdict, corrected=_corrected(best.attempt.correction, aligned, plain.moved))
         return moved, report, verdict

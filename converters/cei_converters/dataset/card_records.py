@@ -10,35 +10,51 @@ import numpy as np
 
 from cei_converters.dataset.card_markdown import markdown_table
 from cei_converters.dataset.metadata import PICTURE_PATH, Metadata
-from cei_converters.dataset.records import RECORDS_PATH, Record, Records
+from cei_converters.dataset.records import RECORDS_PATH, Record, Records, fidelity_of, quality_of
 
 PARTS = (
-    "An episode's quality, from 0 to 1, is that of its worst part: `residual` (how far pads are from the source's), `limits` "
+    "An episode's fidelity, from 0 to 1, says how well it follows its source, not whether it works in contact. It is that of its worst part: `residual` (how far pads are from the source's), `limits` "
     "(frames with a joint of the arm at a limit), `jumps` (joints faster than they can be), `clearance` (how deep the robot is in "
     "itself, table or objects) and `reach` (frames out of reach)."
 )
 
+_KNOWN_BY = {"replays": "replays in its environment", "twin": "a scene built from its recording"}
 _LISTED = "from another start, with another squeeze, with other points on the pads"
 _REFINED = "corrections of how the hand takes hold, searched by rollouts"
 
 
 def quality(root: Path, metadata: Metadata, records: Records) -> str:
-    """How well episodes are aligned; empty for a recorded dataset."""
+    """How well episodes follow, and how likely they work where that is known; empty for a recorded dataset."""
     scored = _spread(
-        {"quality": record["quality"]["score"], **record["quality"]["parts"]}
-        for record in records
-        if "quality" in record
+        {"fidelity": found["score"], **found["parts"]} for record in records if (found := fidelity_of(record))
     )
     rows = scored + _spread(record.get("alignment", {}) for record in records)
     if not rows:
         return ""
-    parts = ["## Quality of the alignment"]
+    parts = ["## Quality", _likely(records)]
     if (root / PICTURE_PATH).is_file():
         parts.append(f"![Scores of all episodes, and the worst ones]({PICTURE_PATH})")
     if scored:
-        parts.append(PARTS + _gated(metadata, records))
+        parts.append(PARTS)
+    parts.append(_gated(metadata, records))
     text = f"Over the episodes; per episode in `{RECORDS_PATH}`."
-    return "\n\n".join([*parts, text, markdown_table(("per episode", "mean", "least", "largest"), rows)])
+    return "\n\n".join([*filter(None, parts), text, markdown_table(("per episode", "mean", "least", "largest"), rows)])
+
+
+def _likely(records: Records) -> str:
+    """How likely episodes work, where that is known."""
+    known, by, n = array("d"), dict[str, None](), 0
+    for record in records:
+        n += 1
+        if found := quality_of(record):
+            known.append(found["probability"])
+            by[_KNOWN_BY[found["by"]]] = None
+    if not known:
+        return "Whether episodes work in contact is not known: they were not replayed, and no twin of a recording was asked."
+    return (
+        f"Quality is the probability that an episode works, by {' and '.join(by)}. It is known of {len(known)} of {n} episodes, {np.mean(known):.2f} in the "
+        f"mean; per episode in `{RECORDS_PATH}`."
+    )
 
 
 def _spread(records: Iterable[Record]) -> list[tuple[str, ...]]:
@@ -56,11 +72,11 @@ def _gated(metadata: Metadata, records: Records) -> str:
     options = [provenance.options for provenance in metadata.provenances]
     text = ""
     for gated in (each for each in options if "min_quality" in each):
-        text += f" Episodes below {gated['min_quality']:g} are left out ({len(gated['gate']['dropped'])})."
+        text += f" Episodes not known to work with a probability of at least {gated['min_quality']:g} are left out ({len(gated['gate']['dropped'])})."
     for bound in dict.fromkeys(each["flag"] for each in options if "flag" in each):
         flagged = [str(index) for index, record in enumerate(records) if record.get("flagged")]
-        text += f" Those below {bound:g} are `flagged` in `{RECORDS_PATH}`: {', '.join(flagged) or 'none'}."
-    return text
+        text += f" Those not known to work with {bound:g} are `flagged` in `{RECORDS_PATH}`: {', '.join(flagged) or 'none'}."
+    return text.strip()
 
 
 def augmented(records: Records) -> str:

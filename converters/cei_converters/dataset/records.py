@@ -17,6 +17,18 @@ Record = dict[str, Any]
 """Free-form JSON types by name."""
 
 
+def fidelity_of(record: Record) -> Record:
+    """How faithfully an episode follows, `score` and `parts` in its record; empty if it has none. Datasets of before called it `quality`."""
+    found = record.get("fidelity", record.get("quality"))
+    return found if isinstance(found, dict) and "parts" in found else {}
+
+
+def quality_of(record: Record) -> Record:
+    """How likely an episode works, `probability` and `by` what that is known; empty if it is not known."""
+    found = record.get("quality")
+    return found if isinstance(found, dict) and "probability" in found else {}
+
+
 class Records(Sequence[Record]):
     """The records of a dataset, in the order of its episodes; none if it has no such file. All are checked at once.
 

@@ -117,7 +117,7 @@ def report(config: ReportConfig, commands: Sequence[str] = ()) -> dict[str, Any]
         "output": str(output),
         "episodes": summary.count,
         "successes": None if replay is None else replay.successes,
-        "shown": [{"episode": each.index, "quality": each.score, "why": each.why()} for each in chosen],
+        "shown": [{"episode": each.index, "fidelity": each.fidelity, "why": each.why()} for each in chosen],
         "films": sum(each.film is not None for each in shown),
         "unknown": page["unknown"],
     }

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
+from statistics import mean, median
 from typing import Any
 
 from cei_converters.dataset.essentials import Remains
@@ -121,10 +122,13 @@ def _tiles(found: Found) -> list[tuple[str, str]]:
         tiles.append((f"{replay.successes} of {len(replay.episodes)}", "succeed when replayed"))
         if (held := replay.held) is not None:
             tiles.append((f"{held['share']:.0%}", "of replays slightly otherwise succeed"))
-    if summary.median is not None:
-        tiles.append((f"{summary.median:.2f}", "median quality, 0 to 1"))
+    if summary.qualities:
+        known = "" if len(summary.qualities) == summary.count else f", of {len(summary.qualities)} of which it is known"
+        tiles.append((f"{mean(summary.qualities):.0%}", f"likely work, in the mean{known}"))
+    if summary.fidelities:
+        tiles.append((f"{median(summary.fidelities):.2f}", "median fidelity, 0 to 1"))
     if summary.distances_mm:
-        tiles.append((f"{sum(summary.distances_mm) / len(summary.distances_mm):.1f} mm", "between pads, in the mean"))
+        tiles.append((f"{mean(summary.distances_mm):.1f} mm", "between pads, in the mean"))
     plain, kept, n = summary.held
     if n:
         tiles.append((f"{plain / n:.0%} → {kept / n:.0%}", "held while refined, plain → kept"))
@@ -170,10 +174,15 @@ def _unknown(found: Found, metadata: Metadata) -> list[str]:
         said.append(f"Whether episodes succeed in simulation: {tell}.")
     elif len(replay.episodes) < summary.count:
         said.append(f"Whether those succeed that were not replayed: {summary.count - len(replay.episodes)} episodes.")
+    if unlikely := summary.count - len(summary.qualities):
+        said.append(
+            f"How likely episodes work, of {unlikely} of {summary.count}: cei-convert with --verify or --refine, which replay them, or with --evidence, which "
+            "builds their scene from the recording."
+        )
     if replay is not None and replay.held is None:
         said.append("Whether successes hold or were luck: cei-replay --perturb=3.")
-    if not summary.scores:
-        said.append("How good episodes are: their records have no quality, as only conversions give them one.")
+    if not summary.fidelities:
+        said.append("How well episodes follow: their records have no fidelity, as only conversions give them one.")
     elif not summary.verified:
         said.append("Whether anything else holds better: neither --verify nor --refine was asked for.")
     if found.source is None and sources(metadata):

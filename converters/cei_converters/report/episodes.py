@@ -4,10 +4,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from cei_converters.dataset.corrections import Corrected
+from cei_converters.dataset.records import fidelity_of, quality_of
 from cei_converters.report.lenient import mapping, number, share
 from cei_converters.report.replays import Replay, Replayed
 from cei_converters.sources.reader import DatasetReader
-from cei_gym.alignment.judge.quality import HALVES
+from cei_gym.alignment.judge.fidelity import HALVES
 from cei_gym.errors import one_line
 from cei_gym.twin.evidence import FAILS, HOLDS
 
@@ -37,8 +38,9 @@ class Episode:
         index: in the dataset.
         frames: how many it has.
         source_episode: which episode of the source it was converted from; None if its record does not say.
-        score: its quality, in [0, 1]; None if it has none.
-        parts: of the quality, by name.
+        quality: how likely it works, in [0, 1], and what that is known by; None if nothing tells.
+        fidelity: how well it follows its source, in [0, 1]; None if its record does not say.
+        parts: of the fidelity, by name.
         figures: other numbers of its record, by name (`AlignmentReport.summary`).
         texts: likewise sentences.
         unreachable: how many frames are out of reach.
@@ -56,7 +58,8 @@ class Episode:
     index: int
     frames: int
     source_episode: int | None = None
-    score: float | None = None
+    quality: tuple[float, str] | None = None
+    fidelity: float | None = None
     parts: Mapping[str, float] = field(default_factory=dict[str, float])
     figures: Mapping[str, float] = field(default_factory=dict[str, float])
     texts: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -73,21 +76,22 @@ class Episode:
 
     @property
     def weakest(self) -> str:
-        """Name of the worst part of its quality; empty if it has none."""
+        """Name of the worst part of its fidelity; empty if it has none."""
         return min(self.parts, key=lambda name: self.parts[name], default="")
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """How good it is, to sort by: whether it succeeds, how often slightly otherwise, its quality."""
+        """How good it is, to sort by: whether it succeeds, how often slightly otherwise, how likely that is, its fidelity."""
         succeeds = not self.replayed.failure if self.replayed else not self.fails
         held = self.held[1] if self.held else float(self.twin is None or self.twin.answer != FAILS)
         if self.replayed and self.replayed.perturbed:
             held = sum(self.replayed.perturbed) / len(self.replayed.perturbed)
-        return float(succeeds), held, 1.0 if self.score is None else self.score
+        likely = 1.0 if self.quality is None else self.quality[0]
+        return float(succeeds), held, likely, 1.0 if self.fidelity is None else self.fidelity
 
     def why(self) -> list[str]:
         """What is known against it, a sentence each."""
-        said = [_of_quality(self)] if self.score is not None and self.score < 0.995 else []
+        said = [_of_fidelity(self)] if self.fidelity is not None and self.fidelity < 0.995 else []
         if self.replayed is not None:
             if self.replayed.failure:
                 said.append(f"Replayed, it fails: {self.replayed.failure}.")
@@ -132,15 +136,22 @@ def episodes(reader: DatasetReader, replay: Replay | None) -> Iterator[Episode]:
 
 def _episode(reader: DatasetReader, index: int, replayed: Replayed | None) -> Episode:
     record, frames = reader.record(index), reader.frames(index)
-    quality, alignment, verified = (mapping(record.get(name)) for name in ("quality", "alignment", "verified"))
+    alignment, verified, fidelity, quality = (
+        mapping(record.get("alignment")),
+        mapping(record.get("verified")),
+        fidelity_of(record),
+        quality_of(record),
+    )
+    likely = share(quality.get("probability"))
     shares = [share(verified.get(name)) for name in ("plain_held", "held")]
-    parts = {name: share(mapping(quality.get("parts")).get(name)) for name in PARTS}
+    parts = {name: share(mapping(fidelity.get("parts")).get(name)) for name in PARTS}
     missed, origin = alignment.get("unreachable_frames"), record.get("source_episode")
     return Episode(
         index=index,
         frames=frames,
         source_episode=origin if isinstance(origin, int) and not isinstance(origin, bool) else None,
-        score=share(quality.get("score")),
+        quality=None if likely is None else (likely, one_line(quality.get("by", ""), 20)),
+        fidelity=share(fidelity.get("score")),
         parts={name: part for name, part in parts.items() if part is not None},
         figures={name: figure for name, value in alignment.items() if (figure := number(value)) is not None},
         texts={name: one_line(value, 300) for name, value in alignment.items() if isinstance(value, str)},
@@ -168,11 +179,11 @@ def _twin(evidence: Mapping[str, object]) -> Twin | None:
     return Twin(answer, counted, one_line(evidence.get("reason", ""), 200)) if answer else None
 
 
-def _of_quality(episode: Episode) -> str:
-    """Which part of its quality is the worst, and what that part measures."""
+def _of_fidelity(episode: Episode) -> str:
+    """Which part of its fidelity is the worst, and what that part measures."""
     figures, texts, part = episode.figures, episode.texts, episode.weakest
     if not part:
-        return f"Its quality is {episode.score:.2f}."
+        return f"Its fidelity is {episode.fidelity:.2f}."
     about = {
         "residual": "how far its pads stay from the source's",
         "limits": "how long a joint of the arm sits at a limit",
@@ -187,7 +198,7 @@ def _of_quality(episode: Episode) -> str:
         "clearance": _given("{:.1f} mm", figures.get("penetration_mm_max")) + _given(", {}", texts.get("penetrates")),
         "reach": f"{episode.unreachable} of {episode.frames}{_given('; {}', texts.get('unreachable_because'))}",
     }[part].removesuffix(".")
-    return f"Its quality is {episode.score:.2f}, for its {part}: {about}{found and f' ({found})'}."
+    return f"Its fidelity is {episode.fidelity:.2f}, for its {part}: {about}{found and f' ({found})'}."
 
 
 def _given(template: str, value: object) -> str:

@@ -56,7 +56,7 @@ def show(
     """
     view = load_view(reader, episode.index, source)
     name = f"Episode {episode.index}"
-    heading = name if episode.score is None else f"{name}, quality {episode.score:.2f}"
+    heading = name if episode.fidelity is None else f"{name}, fidelity {episode.fidelity:.2f}"
     what = "source above, target below" if source is not None else "at five moments"
     if view.uncorrected is not None:
         what += "; at the bottom without its correction and with it"

@@ -4,8 +4,6 @@ from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from cei_converters.report.episodes import Episode
 
 MOST = 200
@@ -20,7 +18,7 @@ class Summary:
         count, frames: how many there are.
         worst: the worst of them, at most `MOST`, worst first.
         best: the best one.
-        scores, distances_mm: qualities, and mean distances of pads, of those that have them.
+        fidelities, qualities, distances_mm: of those that have them; the last are mean distances of pads.
         held: sums of the shares that held plain and as they are kept, and of how many episodes.
         verified: how many were verified while they were converted.
         corrected: those with a correction, at most `MOST`.
@@ -30,7 +28,8 @@ class Summary:
     frames: int = 0
     worst: list[Episode] = field(default_factory=list[Episode])
     best: Episode | None = None
-    scores: array = field(default_factory=lambda: array("f"))
+    fidelities: array = field(default_factory=lambda: array("f"))
+    qualities: array = field(default_factory=lambda: array("f"))
     distances_mm: array = field(default_factory=lambda: array("f"))
     held: tuple[float, float, int] = (0.0, 0.0, 0)
     verified: int = 0
@@ -40,8 +39,10 @@ class Summary:
         """Count one in."""
         self.count += 1
         self.frames += episode.frames
-        if episode.score is not None:
-            self.scores.append(episode.score)
+        if episode.fidelity is not None:
+            self.fidelities.append(episode.fidelity)
+        if episode.quality is not None:
+            self.qualities.append(episode.quality[0])
         if (mm := episode.figures.get("pad_distance_mm_mean")) is not None:
             self.distances_mm.append(mm)
         if episode.held is not None:
@@ -67,11 +68,6 @@ class Summary:
             summary.add(episode)
         summary._cut()
         return summary
-
-    @property
-    def median(self) -> float | None:
-        """The median quality."""
-        return float(np.median(self.scores)) if self.scores else None
 
     def rows(self) -> list[Episode]:
         """Those of the table: all in their order, or the worst of many."""

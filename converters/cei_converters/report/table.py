@@ -46,6 +46,10 @@ def _share(value: float | None) -> Cell | None:
     return None if value is None else Cell(f"{value:.2f}", value, BAD if value < 0.5 else "")
 
 
+def _quality(episode: Episode) -> Cell | None:
+    return None if episode.quality is None else _share(episode.quality[0])
+
+
 def _part(name: str) -> Callable[[Episode], Cell | None]:
     return lambda episode: _share(episode.parts.get(name))
 
@@ -118,8 +122,9 @@ _COLUMNS = [
     Column("kept", "which way of transferring it was kept (--verify, --refine)", _kept),
     Column("held", "share of replays slightly otherwise that held while it was refined: plain → as it is kept", _held),
     Column("twin", "what a scene built from its recording shows, and how many tries hold there (--evidence)", _twin),
-    Column("quality", "its worst part, from 0 to 1", lambda e: _share(e.score)),
-    *(Column(name, f"part of the quality: {_PART_WORDS[name]}", _part(name)) for name in PARTS),
+    Column("quality", "how likely it works, from 0 to 1, by replays or by its twin, which are beside it", _quality),
+    Column("fidelity", "how well it follows the source: its worst part, from 0 to 1", lambda e: _share(e.fidelity)),
+    *(Column(name, f"part of the fidelity: {_PART_WORDS[name]}", _part(name)) for name in PARTS),
     Column("pads (mm)", "mean distance of the target's pads from the source's", _figure("pad_distance_mm_mean", 1)),
     Column("most (mm)", "the same in the worst frame", _figure("pad_distance_mm_max", 1)),
     Column("normals (deg)", "mean angle between normals of pads", _figure("normal_angle_deg_mean", 1)),
