@@ -220,7 +220,7 @@ def test_memory_has_the_worst_of_many() -> None:
     many = (Episode(i, 10, fidelity=float(scores[i]), replayed=replayed.get(i)) for i in range(n))
     summary = Summary.of(many)
     assert (summary.count, summary.frames, len(summary.rows())) == (n, 10 * n, MOST)
-    assert summary.median == pytest.approx(np.median(scores))
+    assert np.median(summary.fidelities) == pytest.approx(np.median(scores))
     others = [i for i in np.argsort(scores) if i not in replayed]
     worst = [7, 8, *others[: MOST - 2]]
     assert [each.index for each in summary.rows()] == worst

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from cei_gym.alignment.links import link_shapes
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
@@ -26,6 +27,7 @@ class Grip:
         T_frame_grip: (4, 4) the grip in it: z out of the palm, y from one side of what is held to the other.
         opened, closed: (h,) positions of the end-effector's joints, rad or m.
         reach_m: how far pads go beyond it, along its z.
+        tip_m: how far links of the hand go beyond it along its z, on the way from open to what it holds.
         widths_m: (41,) room between the pads at shares 0, 1/40, ... 1 of the way from open to closed.
     """
 
@@ -35,6 +37,7 @@ class Grip:
     opened: Array
     closed: Array
     reach_m: float
+    tip_m: float
     widths_m: Array
 
     def joints(self, share: Array) -> Array:
@@ -83,8 +86,20 @@ def grip_between_pads(
     middle, across = (one[at] + others[at]) / 2, others[at] - one[at]
     T_root_grip = _frame(middle, across, middle if facing_root is None else facing_root)
     reach_m = float(((points[at] - T_root_grip[:3, 3]) @ T_root_grip[:3, 2]).max())
+    tip_m = _lowest(embodiment, np.linalg.inv(T_root_grip) @ to_root[: at + 1], T_links[: at + 1])
     root = embodiment.model.body(embodiment.end_effector_root).name
-    return Grip(root, "body", T_root_grip, start, end, reach_m, widths)
+    return Grip(root, "body", T_root_grip, start, end, reach_m, tip_m, widths)
+
+
+def _lowest(embodiment: Embodiment, to_grip: Array, T_links: Array) -> float:
+    """How far the hand's links go along the grip's z, m, in any of the (T, L, 4, 4) poses, with (T, 4, 4) to the grip's frame."""
+    shapes = link_shapes(embodiment)
+    T = to_grip[:, None] @ T_links
+    return max(
+        float((vertices @ T[:, body, 2, :3].T + T[:, body, 2, 3]).max())
+        for body, vertices, hand in zip(shapes.body, shapes.vertices_link, shapes.hand, strict=True)
+        if hand
+    )
 
 
 def _fitting(widths: Array, width_m: float) -> int:
@@ -127,4 +142,6 @@ def site_grip(embodiment: Embodiment) -> Grip:
         raise CEIError(
             f"{embodiment.name}: the end-effector's description has no site named 'grip_site', which is what moves."
         )
-    return Grip(site, "site", np.eye(4), embodiment.home[hand], embodiment.closed[hand], 0.0, np.zeros(len(_SHARES)))
+    return Grip(
+        site, "site", np.eye(4), embodiment.home[hand], embodiment.closed[hand], 0.0, 0.0, np.zeros(len(_SHARES))
+    )

@@ -143,5 +143,5 @@ class PickNutEnv(PickEnv):
     task: ClassVar[str] = "Pick-Nut"
     task_text: ClassVar[str] = "Pick up the nut."
     thing: ClassVar[Thing] = Thing(
-        Placed("nut", description=ROBOSUITE + "square-nut.xml"), height_m=0.010, width_m=0.032, grasp_m=(0.056, 0, 0)
+        Placed("nut", description=ROBOSUITE + "square-nut.xml"), height_m=0.010, width_m=0.032, grasp_m=(0.0615, 0, 0)
     )
