@@ -1,9 +1,9 @@
 """How often the twin of a recording agrees with the environment, beside the ceiling: the environment's own perturbed replays.
 
-usage: python benchmarks/twin.py [--things Cube,Sphere,Nut] [--targets UR5e-FourierRight,IIWA-Inspire] [--seeds 3,4] [--results FOLDER]
+usage: python benchmarks/twin.py [--things Cube,Sphere,Nut] [--targets UR5e-FourierRight,IIWA-Inspire] [--seeds 3,4] [--results FOLDER] [--name twin]
 
 Each thing is picked up by the source, recorded with clean depth (the seeds) and with a Kinect's (the seeds + 500), and moved to each target as it is, and
-once more by a hand that is off at random, so that some fail. Seeds are those of development, below 1000.
+once more by a hand that is off at random, so that some fail. Seeds are those of development, below 1000, or fresh ones of a report, from 2000 on.
 """
 
 import argparse
@@ -28,7 +28,8 @@ from cei_gym.transfer import Attempt, Transfer
 
 THINGS = "Cube,Sphere,Nut,Plate,Hammer,LyingCylinder,Mug,Can,ThinBox,Lemon"
 TARGETS = "UR5e-FourierRight,IIWA-Inspire,Panda-RobotiqThreeFinger"
-NOISE, NOISY_FROM, LAST_SEED = "kinect", 500, 999
+NOISE, NOISY_FROM = "kinect", 500
+FRESH_FROM = 2000
 OFF = 2.0 * np.array([0.005, 0.005, 0.005, 0.08, 0.08, 0.12])  # m and rad: twice what refinement draws
 SHAKEN = 3
 
@@ -89,11 +90,14 @@ def main() -> None:
     parser.add_argument("--things", default=THINGS)
     parser.add_argument("--targets", default=TARGETS)
     parser.add_argument("--seeds", default="3,4")
-    parser.add_argument("--results", type=Path, help="folder for twin.json; default: printed only")
+    parser.add_argument("--results", type=Path, help="folder for a JSON; default: printed only")
+    parser.add_argument("--name", default="twin", help="of the JSON, without its suffix")
     args = parser.parse_args()
     seeds = [int(seed) for seed in args.seeds.split(",")]
-    if not all(0 <= seed < NOISY_FROM for seed in seeds):
-        raise SystemExit(f"--seeds are from 0 to {NOISY_FROM - 1}; those of noisy depth follow, up to {LAST_SEED}.")
+    if not all(0 <= seed - first < NOISY_FROM for first in [FRESH_FROM * (seeds[0] >= FRESH_FROM)] for seed in seeds):
+        raise SystemExit(
+            f"--seeds are from 0 to {NOISY_FROM - 1}, or all from {FRESH_FROM} to {FRESH_FROM + NOISY_FROM - 1}; those of noisy depth are {NOISY_FROM} higher."
+        )
     things, rows = args.things.split(","), []
     demonstrations = {thing: recorded(thing, args.source, seeds) for thing in things}
     for target in args.targets.split(","):
@@ -114,7 +118,7 @@ def main() -> None:
     for reason, count in Counter(row["reason"] for row in rows if "reason" in row).items():
         print(f"cannot be judged: {reason}: {count}")
     if args.results is not None:
-        save(args.results / "twin.json", {"rows": rows}, seeds=[min(seeds), NOISY_FROM + max(seeds)])
+        save(args.results / f"{args.name}.json", {"rows": rows}, seeds=[min(seeds), NOISY_FROM + max(seeds)])
 
 
 if __name__ == "__main__":

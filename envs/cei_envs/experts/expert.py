@@ -16,6 +16,9 @@ from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 
 
+_CLEAR_M = 0.003  # fingertips stay off the table: one that drags on it stops, while the other pushes the thing away
+
+
 class Expert(ABC):
     """Demonstrates one task with one robot.
 
@@ -100,6 +103,12 @@ class PadExpert(ReachesDown):
     def make_grip(self) -> Grip:
         """How its hand takes hold; by default between home and closed."""
         return grip_between_pads(self.embodiment, self.width_m)
+
+    @property
+    def lowest_m(self) -> float:
+        """Least height of the grip above what a thing lies on, as it reaches straight down: its fingertips stay off that."""
+        assert self.grip is not None
+        return self.grip.tip_m + _CLEAR_M
 
     def facing(self, approach_world: Array, closing_world: Array) -> Rotation:
         """Orientation of the grip in the world.

@@ -12,7 +12,7 @@ from cei_envs.tasks.nut_assembly_square import PEG_M, PEG_TOP_M
 from cei_gym.arrays import Array
 
 _HANDLE_M = 0.062  # from the middle of the hole: a large hand stays clear of the peg
-_HELD_M = 0.003  # the grip above the handle's middle: fingertips stay clear of the table
+_HALF_M = 0.010  # of its thickness
 _ABOVE_M = 0.10
 _OVER_M = 0.040  # the nut's middle above the top of the peg, where it is turned
 _LET_GO_M = -0.035  # and where it is let go
@@ -37,7 +37,8 @@ class NutAssemblySquareExpert(PadExpert):
         handle = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         across = np.array([-handle[1], handle[0], 0.0])
         offset = np.multiply(self.variation.offset_m, _CARE)
-        grasp = nut + _HANDLE_M * handle + _HELD_M * _UP + offset
+        grasp = nut + _HANDLE_M * handle + offset
+        grasp[2] = max(grasp[2], nut[2] - _HALF_M + self.lowest_m)
         # Closing fingers centre the handle between them; what is left of the offset is carried along.
         held = grasp - nut - across * (across @ offset)
         peg = np.array([*PEG_M, PEG_TOP_M])

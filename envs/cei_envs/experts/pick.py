@@ -14,7 +14,6 @@ from cei_gym.embodiment import Embodiment
 
 _ABOVE_M, _LIFT_M = 0.10, 0.12
 _CARE = (0.7, 0.7, 0.3)  # of the grasp point's error along x, y and z: flat things lie low
-_CLEAR_M = 0.003  # fingertips stay off the table: one that drags on it stops, while the other pushes the thing away
 
 
 class PickExpert(PadExpert):
@@ -29,20 +28,19 @@ class PickExpert(PadExpert):
     ) -> None:
         self._thing = thing
         super().__init__(embodiment, T_world_base, seed, variation)
-        self._lowest_m = self._leaning_less()
+        self._height_m = self._leaning_less()
 
     def _leaning_less(self) -> float:
         """Have the hand lean no more than lets both pads reach the thing while no fingertip touches the table; the least height of the grip above
         it, m."""
         assert self.grip is not None
-        level = self.grip.tip_m + _CLEAR_M
-        room = max(0.0, self._thing.height_m + self._thing.grasp_m[2] - (level - self.grip.reach_m))
+        room = max(0.0, self._thing.height_m + self._thing.grasp_m[2] - (self.lowest_m - self.grip.reach_m))
         lean = float(np.linalg.norm(self.variation.tilt_rad))
         drop = np.sin(lean) * self.grip.widths_m[0] / 2
         share = min(1.0, room / drop) if drop else 1.0
         x, y = self.variation.tilt_rad
         self.variation = replace(self.variation, tilt_rad=(share * x, share * y))
-        return level + share * drop
+        return self.lowest_m + share * drop
 
     def make_grip(self) -> Grip:
         """See `PadExpert.make_grip`."""
@@ -52,7 +50,7 @@ class PickExpert(PadExpert):
         grasp, across = self._thing.grasp_world(state)
         rotation = self.reaching_down(across)
         grasp = grasp + np.array(self.variation.offset_m) * _CARE
-        grasp[2] = max(grasp[2], state[2] - self._thing.height_m + self._lowest_m)
+        grasp[2] = max(grasp[2], state[2] - self._thing.height_m + self._height_m)
         above, lift = grasp + [0, 0, _ABOVE_M], grasp + [0, 0, _LIFT_M]
         return [
             self.waypoint(above, rotation, 0.0, 26),
