@@ -170,6 +170,7 @@ LAYERS = {
             "reach",
             "evidence",
             "verdict",
+            "quality",
             "search",
             "trials",
             "common",

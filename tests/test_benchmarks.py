@@ -5,6 +5,7 @@ import io
 import json
 import runpy
 from pathlib import Path
+from unittest.mock import ANY
 
 import pytest
 
@@ -139,6 +140,27 @@ def test_twin(tmp_path: Path) -> None:
     assert rows[0]["truth"] and rows[0]["answer"] == "holds"
     assert f"| all | 4 | {sum(not row['truth'] for row in rows)} |" in printed
     assert depends_on(tmp_path, "twin.json").seeds == (3, 503)
+
+
+def test_score(tmp_path: Path) -> None:
+    """Where answers are always right but for one, of an object and a robot that has another."""
+    rows = [
+        {"thing": thing, "target": target, "seed": seed, "truth": works, "shaken": [works] * 3}
+        | {"answer": "holds" if works or (thing, target, seed) == ("Can", "A", 1) else "fails"}
+        for thing in ("Can", "Cube")
+        for target in ("A", "B")
+        for seed, works in enumerate((True, False) * 4)
+    ]
+    (tmp_path / "twin.json").write_text(json.dumps({"rows": rows}))
+    (tmp_path / "fresh.json").write_text(json.dumps({"rows": rows[:8]}))
+    printed = run("score.py", tmp_path, f"--fit={tmp_path / 'twin.json'}", f"--judged={tmp_path / 'fresh.json'}")
+    assert "| other seeds | 8 | 4 | 8 |" in printed
+    result = json.loads((tmp_path / "results/score.json").read_text())
+    assert result["worked"] == {"holds": [16, 17], "unsure": [0, 0], "fails": [0, 15]}
+    assert result["held_out"]["other seeds"]["auc"] == pytest.approx((4 * 3 + 4 * 0.5) / 16, abs=1e-3)
+    assert result["held_out"]["other objects"]["kept_at_0.8"] == {"works": 16, "of": 17, "interval_95": ANY}
+    assert (tmp_path / "results/reliability.png").exists()
+    assert depends_on(tmp_path, "reliability.png", "score.json").seeds == (0, 7)
 
 
 def test_pictures(tmp_path: Path) -> None:

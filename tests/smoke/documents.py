@@ -42,7 +42,7 @@ ELSEWHERE = {
     r"source \.venv/bin/activate": "the environment is another here",
     r"pip install .*": "the wheels are installed",
     r"uv pip install .*": "optional: what a benchmark compares with",
-    r"python benchmarks/(alignment|census|first_frame|observation|pictures|camera_fit|start_up|twin)\.py.*": "minutes; tests/test_benchmarks.py runs it smaller",
+    r"python benchmarks/(alignment|census|first_frame|observation|pictures|camera_fit|score|start_up|twin)\.py.*": "minutes; tests/test_benchmarks.py runs it smaller",
     r"python benchmarks/camera\.py": "compares with MuJoCo's renderer, which needs a GL library",
     r"python benchmarks/scale\.py.*": "minutes however small; it records and converts by benchmarks/transfer.py, which is run",
     r"cei-robot show .*": "serves until it is ended; tests/test_robot_show.py opens it in a browser",

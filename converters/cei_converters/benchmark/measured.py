@@ -87,6 +87,9 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "benchmarks/pads.py": ("cei_gym/embodiment/*", "cei_gym/functional/*", "cei_gym/rendering/*", "benchmarks/pads.py"),
     "benchmarks/pictures.py": ("cei_gym/*", *_LIVE, "!cei_gym/augmentation.py", *_RECORDED, "benchmarks/pictures.py"),
     "benchmarks/scale.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/scale.py", "benchmarks/transfer.py"),
+    "benchmarks/score.py": (
+        *("cei_gym/twin/calibration.py", "converters/cei_converters/conversion/quality.py", "benchmarks/score.py"),
+    ),
     "benchmarks/start_up.py": (
         *(*_CLOUDS, "cei_gym/__init__.py", "cei_gym/compiled.py", *_ENVIRONMENTS, "benchmarks/start_up.py"),
     ),

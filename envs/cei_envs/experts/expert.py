@@ -15,7 +15,6 @@ from cei_envs.experts.variation import Variation
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
 
-
 _CLEAR_M = 0.003  # fingertips stay off the table: one that drags on it stops, while the other pushes the thing away
 
 
