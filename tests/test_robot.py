@@ -319,6 +319,26 @@ def test_it_waits_for_slow_joints_as_long_as_it_is_told(
     assert (np.radians(reached) < 0.02) == (wait_s == 30.0)
 
 
+def test_targets_beyond_limits_are_told_at_them_and_that_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("logging.warning", lambda text, *values: said.append(text % values))
+    for name in ("connect", "get_observation", "send_action"):
+        monkeypatch.setattr(simulated_robot.SimulatedRobot, name, getattr(Slow, name))
+    own = {"type": "simulated", "env": ENV}
+    config = CEIRobotConfig(robot=own, trained_on=str(folder / "iiwa"), unit="deg", start_tolerance=9.0)
+    robot, body = make_robot_from_config(config), load_embodiment(TARGET)
+    robot.connect()
+    u = np.full(13, 0.5)
+    u[0] = body.independent_limits[1][0] + 0.25
+    for _ in range(3):
+        robot.send_action(dict(zip(robot.action_features, body.coupled.expand(u).tolist(), strict=True)))
+    told = "The target of joint_1 is 0.250 beyond its limit, and is told at the limit."
+    assert said.count(told) == 1
+    monkeypatch.setattr(simulated_robot.SimulatedRobot, "disconnect", lambda self: None)
+    robot.disconnect()
+    assert said[-1] == "Told at their limits, as targets were beyond, of 3 actions: joint_1 3."
+
+
 CAMERA = """cameras:
   {name}:
     width: 640

@@ -1,7 +1,7 @@
 """`CEIRobot`: a lab's robot behind the names, order, unit and limits that a policy was trained with."""
 
 import logging
-from collections import deque
+from collections import Counter, deque
 from functools import cached_property
 from time import monotonic, sleep
 from typing import Any
@@ -58,6 +58,7 @@ class CEIRobot(Robot):
         self._names = [f"{name}.pos" for name in embodiment.joint_names]
         self._began, self._told = 0.0, 0
         self._seen_at: float | None = None
+        self._beyond = Counter[str]()
         self._latencies: deque[float] = deque(maxlen=_LATENCIES)
 
     @property
@@ -109,6 +110,10 @@ class CEIRobot(Robot):
                 len(self._latencies),
             )
             self._latencies.clear()
+        if self._beyond:
+            times = ", ".join(f"{name} {count}" for name, count in self._beyond.most_common())
+            logging.warning("Told at their limits, as targets were beyond, of %d actions: %s.", self._told, times)
+            self._beyond.clear()
         self._robot.disconnect()
 
     def get_observation(self) -> dict[str, Any]:
@@ -144,6 +149,7 @@ class CEIRobot(Robot):
             if complaint:
                 raise CEIError(complaint)
         self._time()
+        self._say_beyond(wanted)
         sent = self._joints.qpos(self._robot.send_action(self._joints.command(wanted)))
         self._wait(sent)
         return dict(zip(self._names, sent.tolist(), strict=True))
@@ -161,6 +167,13 @@ class CEIRobot(Robot):
             if there.all():
                 return
             last, when = qpos, now
+
+    def _say_beyond(self, wanted: Array) -> None:
+        """Say of each joint, the first time, that its target is beyond its limit."""
+        for name, over in self._joints.beyond(wanted).items():
+            if not self._beyond[name]:
+                logging.warning("The target of %s is %.3f beyond its limit, and is told at the limit.", name, abs(over))
+            self._beyond[name] += 1
 
     def _time(self) -> None:
         """Say once at which rate actions come, if it is not that of the demonstrations."""

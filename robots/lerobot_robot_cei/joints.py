@@ -11,6 +11,7 @@ from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 
 UNITS = ("rad", "deg")
+_BEYOND = 1e-3  # rad or m; by less a policy is merely not exact
 
 
 class RobotJoints:
@@ -72,6 +73,14 @@ class RobotJoints:
         u = self._offset.copy()
         u[self._moves] += read * self._scale[self._moves]
         return self.embodiment.coupled.expand(u)
+
+    def beyond(self, qpos: Array) -> dict[str, float]:
+        """How far joint targets (n,) are beyond limits, rad or m, by the joints' names; none that are within."""
+        embodiment = self.embodiment
+        u = embodiment.coupled.reduce(qpos)
+        over = u - np.clip(u, *embodiment.independent_limits)
+        names = [embodiment.joint_names[q] for q in embodiment.coupled.independent]
+        return {names[i]: float(over[i]) for i in self._moves if abs(over[i]) > _BEYOND}
 
     def command(self, qpos: Array) -> dict[str, float]:
         """What the robot is told, from joint targets (n,), rad or m: those of the joints that it takes, within limits."""
