@@ -9,9 +9,9 @@ from cei_gym.twin.evidence import Evidence
 
 REPLAYS, TWIN = "replays", "twin"
 """What it is known by."""
-PRIOR = (0.2, 0.06)
+PRIOR = (0.15, 0.05)
 """How many successes and failures are counted beside those of replays, so that few never make sure: of the beta distribution that explains best how
-often each episode of `results/twin` succeeds in four replays (`benchmarks/score.py`). One success gives 0.95, one failure 0.16, four of five 0.80."""
+often each episode of `results/twin` succeeds in four replays (`benchmarks/score.py`). One success gives 0.96, one failure 0.12, four of five 0.80."""
 
 
 @dataclass(frozen=True)
