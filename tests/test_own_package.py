@@ -217,8 +217,8 @@ def test_where_a_step_has_cut_a_recording_its_worst_frame_is_still_the_sources()
     frames = made.demonstration.source_frames
     assert frames is not None and frames[3] == 0
     for frame in range(len(made.demonstration)):
-        quality = replace(judged.quality, frame=frame)
-        found = Encode(reader, TARGET, PRIVILEGED_STATE, 1, True, None)(replace(judged, quality=quality))  # pyright: ignore
+        fidelity = replace(judged.fidelity, frame=frame)
+        found = Encode(reader, TARGET, PRIVILEGED_STATE, 1, True, None)(replace(judged, fidelity=fidelity))  # pyright: ignore
         np.testing.assert_array_equal(found.outcome.worst.qpos_source, qpos[frames[frame]])
     np.testing.assert_array_equal(worst.qpos_source, qpos[frames[worst.frame]])
 
