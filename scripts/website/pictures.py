@@ -45,7 +45,7 @@ def pipeline() -> str:
         ("read", ["joints, actions,", "depth, clouds"]),
         ("augment", ["objects, and the", "source, elsewhere"]),
         ("retarget", ["pads follow pads,", "robots swap in clouds"]),
-        ("judge", ["quality, reach,", "replay in physics"]),
+        ("judge", ["fidelity, reach,", "replay in physics"]),
         ("encode", ["features, statistics,", "provenance"]),
     ]
     for i, (name, lines) in enumerate(steps):
