@@ -27,6 +27,7 @@ from cei_gym.twin.evidence import CANNOT, FAILS, HOLDS, UNSURE, Evidence
 FIT, JUDGED = Path("results/twin/twin.json"), Path("results/twin/fresh.json")
 BOUNDS = (0.5, 0.8)
 ANSWERS = (HOLDS, UNSURE, FAILS)
+_BINS = (0.4, 0.85)  # between qualities of the three answers
 Row = Mapping[str, Any]
 Counts = Mapping[str, tuple[int, int]]
 
@@ -111,14 +112,16 @@ def draw(path: Path, named: Mapping[str, Sequence[tuple[float | None, bool]]]) -
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="0.7", lw=1)
     for k, (name, pairs) in enumerate(named.items()):
-        for i, quality in enumerate(sorted({round(q, 3) for q, _ in pairs if q is not None})):
-            works = [w for q, w in pairs if q is not None and abs(q - quality) < 1e-3]
-            share, (low, high) = np.mean(works), wilson(sum(works), len(works))
-            x = quality + 0.012 * (k - (len(named) - 1) / 2)
+        quality, works = (np.array(each) for each in zip(*((q, w) for q, w in pairs if q is not None), strict=True))
+        bins = np.digitize(quality, _BINS)
+        for i, which in enumerate(np.unique(bins)):
+            own = works[bins == which]
+            share, (low, high) = own.mean(), wilson(int(own.sum()), len(own))
+            x = quality[bins == which].mean() + 0.02 * (k - (len(named) - 1) / 2)
             axes.errorbar(
                 x, share, [[share - low], [high - share]], fmt="o", color=f"C{k}", capsize=3, label=None if i else name
             )
-            axes.annotate(f"{len(works)}", (x, share), (6, -3), textcoords="offset points", fontsize=8, color=f"C{k}")
+            axes.annotate(f"{len(own)}", (x, share), (6, -3), textcoords="offset points", fontsize=8, color=f"C{k}")
     axes.set(
         xlabel="quality, by the twin", ylabel="share that works in the environment", xlim=(0, 1), ylim=(-0.03, 1.03)
     )

@@ -147,7 +147,9 @@ def test_a_good_dataset_converts(main: Callable, root: Path, tmp_path: Path, cap
     assert reader.embodiment.name == TARGET
     assert reader.record(1)["source_episode"] == 1
     assert reader.record(1)["alignment"] == {
-        k: v for k, v in result["results"][1].items() if k not in ("episode", "frames", "quality", "fidelity", "weakest")
+        k: v
+        for k, v in result["results"][1].items()
+        if k not in ("episode", "frames", "quality", "fidelity", "weakest")
     }
     assert reader.metadata.provenance.source.fingerprint.startswith("sha256:")
     assert reader.metadata.provenance.options["transfer"]["points"] == 32
