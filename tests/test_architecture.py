@@ -147,7 +147,7 @@ LAYERS = {
         *("options", "evidence", "calibration", "shape", "hold", "seen", "complete", "fit", "hulls"),
         *("couplings", "robot", "scene", "play", "twin"),
     ],
-    "cei_gym.painting": ["view", "behind", "light", "carried", "calibrated", "painter", "camera_fit"],
+    "cei_gym.painting": ["view", "behind", "light", "carried", "calibrated", "painter", "clicks", "camera_fit"],
     "cei_gym.alignment": [
         *("registry", "options", "kernels", "grip", "manual", "problem", "links", "contact", "solvers", "judge"),
         *("retime", "follow", "start", "stream"),

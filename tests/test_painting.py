@@ -1,5 +1,6 @@
 """Pictures that show another robot, against the true ones: the target's own simulation, with joints and objects as they are."""
 
+import itertools
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ from cei_gym.painting import Painter, Plate, Shot, agreement
 from cei_gym.painting.behind import Change, nearest_in_time
 from cei_gym.painting.light import Light, surface_terms
 from cei_gym.painting.view import RobotView
-from cei_gym.rendering import DepthCamera, look_at, project
+from cei_gym.rendering import DepthCamera, image_points, look_at, project
 
 SOURCE, TARGET = "Panda-PandaGripper", "IIWA-Inspire"
 IMAGE, VIDEO = "observation.images.front", "observation.images.left"
@@ -290,6 +291,31 @@ def test_a_camera_is_found_from_joints_and_pictures(
     assert result["apart_px"] < 1.5 and result["explained"] > 0.85 and result["moved_px"] > 4
     assert sheet.read_bytes().startswith(b"\x89PNG")
     np.testing.assert_allclose(found.T_world_base, recorded.demonstrations[0].scene.T_world_base)
+
+
+def test_a_camera_is_found_from_clicks_without_a_pose(
+    recorded: Recorded, tmp_path: Path, complaint: Callable[[], str]
+) -> None:
+    scene, body = recorded.demonstrations[0].scene, load_embodiment(SOURCE)
+    true, clicks = scene.cameras[0], []
+    random = np.random.default_rng(0)
+    for frame, link in itertools.product((0, 20, 40), ("link2", "link3", "link5", "link6", "link7", "right_gripper")):
+        T_base_links = KinematicTree(body).forward(recorded.demonstrations[0].qpos[frame])
+        point = (scene.T_world_base @ T_base_links[body.body_id(link)])[:3, 3]
+        pixel = image_points(point[None], true)[0][0] + random.normal(size=2)
+        if not ((pixel > 0) & (pixel < (WIDTH - 1, HEIGHT - 1))).all():
+            continue
+        clicks.append({"episode": 0, "frame": frame, "point": link, "pixel": pixel.tolist()})
+    (tmp_path / "clicks.yaml").write_text(yaml.safe_dump(clicks))
+    nowhere = replace(true, T_world_camera=np.eye(4))
+    asked = (f"--clicks={tmp_path / 'clicks.yaml'}", "--pictures=8")
+    assert calibrating(recorded, nowhere, tmp_path, *asked) == 0
+    (camera,) = load_calibration(tmp_path / "cameras.yaml").cameras
+    assert apart_px(recorded, camera, true) < 1.5
+    clicks[0]["frame"] = 9999
+    (tmp_path / "clicks.yaml").write_text(yaml.safe_dump(clicks))
+    assert calibrating(recorded, nowhere, tmp_path, *asked, "--overwrite") == 1
+    assert "clicks.yaml: click 1: frame 9999 is none of the" in complaint()
 
 
 def test_a_camera_that_cannot_be_found_is_refused(

@@ -20,6 +20,7 @@ from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 from cei_gym.painting.behind import Plate
 from cei_gym.painting.calibrated import Agreement, agreement
+from cei_gym.painting.clicks import CLICK_PX, Clicks
 from cei_gym.painting.light import Light
 from cei_gym.painting.painter import grown
 from cei_gym.painting.view import Drawn, RobotView
@@ -65,6 +66,7 @@ def fit_camera(
     pictures: Array,
     qpos: Array,
     advance: Callable[[float], None] = lambda _: None,
+    clicks: Clicks | None = None,
 ) -> CameraFit:
     """Find a camera that stands still.
 
@@ -75,6 +77,7 @@ def fit_camera(
         pictures: (N, H, W, 3) uint8, at least 8, in which the robot is at different places.
         qpos: (N, n) its joints in them, rad or m.
         advance: called with the share of the work that is done.
+        clicks: that the camera keeps to; the guess then is what they say (`Clicks.camera`), and no other directions are tried.
 
     Raises:
         CEIError: nothing is found that the pictures bear out.
@@ -82,14 +85,14 @@ def fit_camera(
     extras.require_module("finding a camera", "cv2")
     if len(pictures) < 8:
         raise CEIError(f"a camera is found by 8 pictures or more, not {len(pictures)}.")
-    whole = _Fit(robot, T_world_base, guess, pictures, qpos)
+    whole = _Fit(robot, T_world_base, guess, pictures, qpos, clicks)
     if not any((drawn.geom_id >= 0).any() for drawn in whole.drawn(np.zeros(7), WIDTHS_PX[0])):
         raise CEIError(f"{robot.name} is not in the view of camera {guess.name!r} by the guess; give a better one.")
-    seeds = whole.seeds(lambda done: advance(0.2 * done))
+    seeds = [np.zeros(7)] if clicks else whole.seeds(lambda done: advance(0.2 * done))
     with ThreadPoolExecutor(_THREADS) as threads:
         coarse = sorted(threads.map(lambda seed: whole.descend(seed, 0), seeds), key=lambda found: found[1])
     advance(0.5)
-    halves = [_Fit(robot, T_world_base, guess, pictures[half::2], qpos[half::2]) for half in (0, 1)]
+    halves = [_Fit(robot, T_world_base, guess, pictures[half::2], qpos[half::2], clicks) for half in (0, 1)]
     # From different starts, where there are such that come to the same.
     starts = [coarse[min(i, len(coarse) - 1)][0] for i in (0, 1)]
     starts = [start if whole.apart_px(start, coarse[0][0])[0] < _GRID_DEG else coarse[0][0] for start in starts]
@@ -121,7 +124,16 @@ class _Fit:
     A candidate is (7,): how the guess is turned (rotation vector, rad) and moved (m), in its own frame, and the logarithm of the focal length's ratio.
     """
 
-    def __init__(self, robot: Embodiment, T_world_base: Array, guess: Camera, pictures: Array, qpos: Array) -> None:
+    def __init__(
+        self,
+        robot: Embodiment,
+        T_world_base: Array,
+        guess: Camera,
+        pictures: Array,
+        qpos: Array,
+        clicks: Clicks | None = None,
+    ) -> None:
+        self._clicks = clicks
         self._guess, self._pictures, self._qpos = guess, pictures, qpos
         self._view = RobotView(robot, T_world_base, guess)
         self._small: dict[int, list[Array]] = {}
@@ -159,7 +171,7 @@ class _Fit:
 
     def descend(self, candidate: Array, level: int) -> tuple[Array, float]:
         """The best candidate near one, by pictures of a level, and its loss."""
-        width, stiff = WIDTHS_PX[level], np.diag(1 / _BELIEF**2)
+        width = WIDTHS_PX[level]
         focal_px = self.camera(candidate, width).K[0, 0]
         pixel = 1 / focal_px
         step = _STEP_PX * np.array([pixel] * 3 + [pixel * self._far_m] * 3 + [4 / min(width, self._guess.width)])
@@ -168,17 +180,23 @@ class _Fit:
             seen = _Level(self, candidate, width)  # as the candidate has it
             residual = seen.residual(candidate)
             loss = _loss(residual)
-            before = loss + candidate @ stiff @ candidate
+            known = self._known(candidate)
+            before = loss + known @ known
             weight = 1 / (1 + (residual / _INLIER) ** 2) ** 2 / _INLIER**2
             slopes = [
                 (seen.residual(candidate + h) - seen.residual(candidate - h)) / (2 * h.sum()) for h in np.diag(step)
             ]
             J = np.stack(slopes, axis=1)
-            H, g = (J * weight[:, None]).T @ J + stiff, J.T @ (weight * residual) + stiff @ candidate
+            kept = np.stack(
+                [(self._known(candidate + h) - self._known(candidate - h)) / (2 * h.sum()) for h in np.diag(step)],
+                axis=1,
+            )
+            H, g = (J * weight[:, None]).T @ J + kept.T @ kept, J.T @ (weight * residual) + kept.T @ known
             for _ in range(8):
                 change = -np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
                 tried = candidate + change
-                if _loss(seen.residual(tried)) + tried @ stiff @ tried < before:
+                known = self._known(tried)
+                if _loss(seen.residual(tried)) + known @ known < before:
                     break
                 damping *= 5
             else:
@@ -187,6 +205,14 @@ class _Fit:
             if np.abs(change / step).max() * _STEP_PX < _STILL_PX:
                 break
         return candidate, loss
+
+    def _known(self, candidate: Array) -> Array:
+        """(7 + 2 K,) what is known beside the pictures, less what a candidate says, each in units of its spread."""
+        belief = candidate / _BELIEF
+        if self._clicks is None:
+            return belief
+        off_px = self._clicks.off_px(self.camera(candidate))
+        return np.concatenate([belief, off_px.ravel() / (CLICK_PX * self._guess.width / 640)])
 
     def refined(self, candidate: Array) -> Array:
         """The best candidate near one, by all levels but the first."""

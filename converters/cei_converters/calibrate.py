@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cei_gym.arrays import Array
     from cei_gym.demonstration import Camera
     from cei_gym.painting.camera_fit import CameraFit
+    from cei_gym.painting.clicks import Clicks
 
 EXAMPLE = """example:
   cei-calibrate --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --camera=front \\
@@ -34,6 +35,9 @@ class CalibrateConfig:
     camera: str  # The camera's feature, or the last part of its key.
     output: Path  # YAML to write, as --calibration of cei-convert reads it.
     calibration: Path | None = None  # YAML with the guess; default: meta/cei.json. What else it says is kept.
+    clicks: Path | None = (
+        None  # YAML: four or more points of the robot, and where pictures show them; of the guess only the focal length is used.
+    )
     sheet: Path | None = None  # PNG: outlines of the robot in some pictures, by the guess and as found.
     source: str | None = None  # Embodiment of a dataset that does not say it (no meta/cei.json).
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
@@ -81,6 +85,8 @@ def calibrate(config: CalibrateConfig) -> None:
     )
     key = _feature(reader, config.camera)
     (guess,) = calibrated({key: reader.cameras[key]}, reader.scene.cameras, "cei-calibrate").values()
+    clicks = None if config.clicks is None else _clicks(reader, config.clicks, guess)
+    guess = guess if clicks is None else clicks.camera(guess)
     pictures, qpos = _sampled(reader, key, config.pictures)
     base = reader.scene.T_world_base
     with progress_bar("%") as progress:
@@ -92,6 +98,7 @@ def calibrate(config: CalibrateConfig) -> None:
             pictures,
             qpos,
             lambda share: progress.update(task, completed=round(100 * share)),
+            clicks,
         )
     with output.whole() as partial:
         partial.write_text(_yaml(reader, given, found))
@@ -130,6 +137,35 @@ def _feature(reader: "Source", camera: str) -> str:
         if camera in (key, camera_name(key)):
             return key
     raise unknown("camera with pictures", camera, [camera_name(key) for key in coloured])
+
+
+def _clicks(reader: "Source", path: Path, guess: "Camera") -> "Clicks":
+    """What was clicked, in the world.
+
+    Raises:
+        CEIError: the file is wrong, or an episode or frame is none of the dataset's.
+    """
+    from cei_converters.sources.clicks import load_clicks
+    from cei_gym.kinematics import KinematicTree
+    from cei_gym.painting.clicks import Clicks
+
+    clicks = load_clicks(path, reader.embodiment, guess.width, guess.height)
+    tree = KinematicTree(reader.embodiment)
+    joints: dict[int, Array] = {}
+    points: list[Array] = []
+    for i, click in enumerate(clicks):
+        if click.episode >= len(reader):
+            raise CEIError(f"{path.name}: click {i + 1}: episode {click.episode} is none of the {len(reader)}.")
+        if click.episode not in joints:
+            joints[click.episode] = reader.read(click.episode, clouds=False).qpos
+        qpos = joints[click.episode]
+        if click.frame >= len(qpos):
+            raise CEIError(
+                f"{path.name}: click {i + 1}: frame {click.frame} is none of the {len(qpos)} of episode {click.episode}."
+            )
+        T_world_link = reader.scene.T_world_base @ tree.forward(qpos[click.frame])[click.body]
+        points.append(T_world_link[:3, :3] @ click.xyz_link + T_world_link[:3, 3])
+    return Clicks(np.stack(points), np.stack([click.pixel for click in clicks]))
 
 
 def _sampled(reader: "Source", key: str, most: int) -> tuple["Array", "Array"]:
