@@ -92,7 +92,12 @@ def fit_camera(
     with ThreadPoolExecutor(_THREADS) as threads:
         coarse = sorted(threads.map(lambda seed: whole.descend(seed, 0), seeds), key=lambda found: found[1])
     advance(0.5)
-    halves = [_Fit(robot, T_world_base, guess, pictures[half::2], qpos[half::2], clicks) for half in (0, 1)]
+    halves = [
+        _Fit(
+            robot, T_world_base, guess, pictures[half::2], qpos[half::2], None if clicks is None else clicks.half(half)
+        )
+        for half in (0, 1)
+    ]
     # From different starts, where there are such that come to the same.
     starts = [coarse[min(i, len(coarse) - 1)][0] for i in (0, 1)]
     starts = [start if whole.apart_px(start, coarse[0][0])[0] < _GRID_DEG else coarse[0][0] for start in starts]

@@ -15,6 +15,7 @@ CLICK_PX = 3.0
 """By so much people miss, in pictures of 640 pixels."""
 
 LEAST = 4
+"""So many tell where a camera is."""
 
 _FOCAL = 0.15  # what is believed of the focal length's logarithm
 _WORST_PX = 12.0
@@ -31,6 +32,11 @@ class Clicks:
 
     points_world: Array
     pixels: Array
+
+    def half(self, which: int) -> "Clicks | None":
+        """Every other one, from the first (0) or the second (1): halves that know nothing of each other; None where they are too few."""
+        points, pixels = self.points_world[which::2], self.pixels[which::2]
+        return Clicks(points, pixels) if len(self.pixels) >= 2 * LEAST else None
 
     def off_px(self, camera: Camera) -> Array:
         """(K, 2) columns and rows by which a camera misses them."""

@@ -35,9 +35,8 @@ class CalibrateConfig:
     camera: str  # The camera's feature, or the last part of its key.
     output: Path  # YAML to write, as --calibration of cei-convert reads it.
     calibration: Path | None = None  # YAML with the guess; default: meta/cei.json. What else it says is kept.
-    clicks: Path | None = (
-        None  # YAML: four or more points of the robot, and where pictures show them; of the guess only the focal length is used.
-    )
+    # YAML: four or more points of the robot, and where pictures show them; of the guess only the focal length is used.
+    clicks: Path | None = None
     sheet: Path | None = None  # PNG: outlines of the robot in some pictures, by the guess and as found.
     source: str | None = None  # Embodiment of a dataset that does not say it (no meta/cei.json).
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
