@@ -119,6 +119,7 @@ NOT_WRITTEN = {
         "source.joint_map",
         "joint_map",
         "calibration",
+        "clicks",
         "package_path",
         "replay",
     ),
