@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cei_gym.alignment import AlignmentProblem, Stream
+from cei_gym.alignment import AlignmentProblem
 from cei_gym.alignment.contact.squeeze import squeeze
 from cei_gym.alignment.solvers.make import make_second_order_solver
 from cei_gym.alignment.start.starts import find_basins
@@ -23,20 +23,21 @@ class Impersonation:
     Args:
         transfer: from the source to the target, fitted to demonstrations of the source.
         T_target_source: (4, 4) pose of the source's base in the target's.
+        dt_s: time between actions; with it, joints keep their velocity limits, and what is held is known.
 
     Raises:
         CEIError: the transfer has not been fitted.
     """
 
-    def __init__(self, transfer: Transfer, T_target_source: Array) -> None:
-        self._transfer, self._T = transfer, T_target_source
+    def __init__(self, transfer: Transfer, T_target_source: Array, dt_s: float | None = None) -> None:
+        self._transfer = transfer
         self.source, self.target = transfer.source, transfer.target
         if not transfer.basins:
             raise CEIError(
                 f"how {self.target.name} starts where {self.source.name} does is not known; "
                 "call the transfer's `fit` with a few demonstrations first."
             )
-        self._stream = Stream(transfer.problem, transfer.solver_options, u0=transfer.basins[0].u)
+        self._source, self._stream = transfer.live(dt_s, T_target_source)
         problem = AlignmentProblem(transfer.source_representation, KinematicTree(self.source))
         self._back = problem, make_second_order_solver(problem, transfer.solver_options)
         self._T_back = np.linalg.inv(T_target_source)
@@ -47,8 +48,9 @@ class Impersonation:
     def reset(self, qpos: Array) -> Array:
         """Start with the source at `qpos` (n,); joint positions (n',) of the target there, rad or m."""
         self._stream.reset()
+        self._source.reset()
         self.qpos = np.asarray(qpos, float)
-        start = self._follow(self.qpos)
+        start = self._follow(self.qpos, 0.0)
         self._measured = self._expected.copy()
         return start
 
@@ -56,6 +58,7 @@ class Impersonation:
         """Start with the target at `qpos` (n',), and the source where its pads come nearest to the target's."""
         self._measured = self._expected = self.target.coupled.reduce(np.asarray(qpos, float))
         self._stream.resume_from(self._measured)
+        self._source.reset()
         problem, _ = self._back
         points, normals = self._pads_in_source(self._measured)
         u = find_basins(problem, self._transfer.solver_options, points, normals, self._transfer.init)[0]
@@ -68,9 +71,9 @@ class Impersonation:
         # The arm goes where it is told. A hand that is to close stays where it is, and presses; one that is to open opens.
         still = told.copy()
         still[hand] = self.qpos[hand]
-        closing_m = self._closing_m(still, told)
+        closing_m = self._source.closing_m(still, told)
         self.qpos = still if closing_m > 0 else told
-        qpos = self._follow(self.qpos)
+        qpos = self._follow(self.qpos, closing_m)
         if closing_m <= 0:
             return qpos
         followed = self._expected.copy()
@@ -82,14 +85,18 @@ class Impersonation:
     def observe(self, qpos: Array) -> Array:
         """Joint positions (n',) of the target, after it has acted, to those of the source (n,), rad or m."""
         self._measured = self.target.coupled.reduce(np.asarray(qpos, float))
-        is_, should_be = (self._imitate(u) for u in (self._measured, self._expected))
-        moved = self.source.coupled.expand(is_) - self.source.coupled.expand(should_be)
+        # Fingers are asked apart: an arm that lags behind must not look like a hand that opens.
+        fingers = np.where(self._hand, self._measured, self._expected)
+        is_, gripping, should_be = (
+            self.source.coupled.expand(self._imitate(u)) for u in (self._measured, fingers, self._expected)
+        )
+        moved = is_ - should_be
+        moved[self.source.n_arm :] = (gripping - should_be)[self.source.n_arm :]
         self.qpos = np.clip(self.qpos + moved, self.source.lower, self.source.upper)
         return self.qpos.copy()
 
-    def _follow(self, qpos: Array) -> Array:
-        points, normals = self._transfer.place_source(qpos, self._T)
-        self._expected = self._stream(points, normals)
+    def _follow(self, qpos: Array, closing_m: float) -> Array:
+        self._expected = self._stream(*self._source.place(qpos), self._source.grip(qpos, closing_m))
         return self.target.coupled.expand(self._expected)
 
     def _imitate(self, u: Array) -> Array:
@@ -103,8 +110,3 @@ class Impersonation:
         points, normals = self._transfer.problem.place(u)
         R, t = self._T_back[:3, :3], self._T_back[:3, 3]
         return points @ R.T + t, normals @ R.T
-
-    def _closing_m(self, still: Array, told: Array) -> float:
-        """How much farther the source's pads are told to go along their normals, in the mean, m."""
-        (is_, normals), (wanted, _) = (self._transfer.place_source(q, self._T) for q in (still, told))
-        return float(np.einsum("ni,ni->n", wanted - is_, normals).mean())

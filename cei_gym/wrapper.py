@@ -78,7 +78,9 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         self._synthesiser = CloudSynthesiser(acting, shown, clouds)
         self.clouds: CloudOptions = clouds
         """Options of the clouds that the policy sees."""
-        self._impersonation = None if impersonate is None else Impersonation(impersonate, np.eye(4))
+        rate_hz = env.metadata.get("render_fps")  # a step is a frame, as Gymnasium has it
+        dt_s = 1 / rate_hz if rate_hz else None
+        self._impersonation = None if impersonate is None else Impersonation(impersonate, np.eye(4), dt_s)
         spaces[cloud_key] = _cloud_space(self._scene.workspace_world, clouds, spaces[cloud_key])
         if impersonate is not None:
             spaces[joints_key] = gym.spaces.Box(-np.inf, np.inf, (len(shown.home),), np.float32)

@@ -152,9 +152,11 @@ LAYERS = {
         *("registry", "options", "kernels", "grip", "manual", "problem", "links", "contact", "solvers", "judge"),
         *("retime", "follow", "start", "stream"),
     ],
-    "cei_gym.alignment.kernels": ["step", "target", "quadratic", "distance", "collision", "frame", "contact", "grasp"],
+    "cei_gym.alignment.kernels": [
+        *("step", "target", "quadratic", "distance", "collision", "overlap", "frame", "contact", "grasp"),
+    ],
     "cei_gym.transfer": [
-        *("options", "attempt", "live", "source_side", "scenes", "specified", "following", "aligned", "transfer"),
+        *("options", "attempt", "source_side", "live", "scenes", "specified", "following", "aligned", "transfer"),
         *("ground", "standing", "placing"),
     ],
     "cei_converters": [

@@ -312,8 +312,8 @@ def test_a_pad_touches_where_it_reaches_farthest(name: str, seed: int) -> None:
     """As deep as the farthest of all vertices of its mesh, and across among those that are about as far."""
     problem = problem_of(name)
     embodiment = problem.embodiment
-    # private: the pads as kernels take them, which no user needs
-    target, grasp, _, _ = GraspRefiner(problem, OPTIONS, CONTACT)._arrays
+    # the pads as kernels take them
+    target, grasp, _, _ = GraspRefiner(problem, OPTIONS, CONTACT).arrays
     rng = np.random.default_rng(seed)
     u = random_joints(embodiment, seed)
     axis = rng.normal(size=3)
@@ -628,8 +628,8 @@ def test_fingers_that_hold_do_not_give_way(name: str) -> None:
 def test_the_energys_gradient_is_its_finite_difference(name: str, seed: int) -> None:
     """With a single vertex a pad, so that contact points stay on their links, and a palm that is nearly as wished."""
     problem = problem_of(name)
-    # private: the pads as kernels take them, which no user needs
-    target, grasp, _, _ = GraspRefiner(problem, OPTIONS, CONTACT)._arrays
+    # the pads as kernels take them
+    target, grasp, _, _ = GraspRefiner(problem, OPTIONS, CONTACT).arrays
     rng, pads = np.random.default_rng(seed), len(grasp.joint)
     grasp = grasp._replace(vertices=grasp.vertices[grasp.start[:-1]].copy(), start=np.arange(pads + 1))
     u = random_joints(problem.embodiment, seed)

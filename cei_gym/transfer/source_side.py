@@ -16,7 +16,8 @@ from cei_gym.embodiment import Embodiment
 from cei_gym.functional import FunctionalRepresentation
 from cei_gym.kinematics import KinematicTree
 
-_AT_REST = 0.02  # rad/s or m/s: a finger slower than this has stopped
+AT_REST = 0.02
+"""rad/s or m/s: a finger slower than this has stopped."""
 
 
 class SourceSide:
@@ -94,6 +95,16 @@ class SourceSide:
         """(T,) how far the pads press into what they hold, m."""
         return np.clip(self._closing_m(demonstration, motion), 0.0, self._contact.squeeze_m)
 
+    def grip_at(self, qpos: Array, T_target_source: Array, held: bool) -> Grip | None:
+        """What it does in one frame, at (n,) joint positions; None where it has no pads that close on each other."""
+        return self._grip_of(T_target_source @ self.tree.forward(qpos)[None], np.array([held]))
+
+    def closing_m(self, qpos: Array, told: Array, T_target_source: Array) -> float:
+        """How much farther pads are told to go along their normals than they are, in the mean, m, at (n,) joint positions and targets of the hand."""
+        commanded = np.append(qpos[: self.embodiment.n_arm], told[self.embodiment.n_arm :])
+        (is_, normals), (wanted, _) = (self.place(q, T_target_source) for q in (qpos, commanded))
+        return float(np.einsum("ni,ni->n", wanted - is_, normals).mean())
+
     def _closing_m(self, demonstration: Demonstration, motion: Motion) -> Array:
         """(T,) how far each pad is told to go beyond where it is, in the mean, m."""
         commanded = demonstration.qpos.copy()
@@ -107,8 +118,13 @@ class SourceSide:
             return None
         # Told to close, but at rest: something is in between.
         hand = demonstration.qpos[:, self.embodiment.n_arm :]
-        moves = (np.abs(np.diff(hand, axis=0)) * demonstration.fps > _AT_REST).any(axis=1)
+        moves = (np.abs(np.diff(hand, axis=0)) * demonstration.fps > AT_REST).any(axis=1)
         at_rest = ~np.append(False, moves) & ~np.append(moves, False)  # neither on its way nor about to set out
         held = (self._closing_m(demonstration, motion) > self._contact.held_m) & at_rest
+        return self._grip_of(self.links(demonstration), held)
+
+    def _grip_of(self, T_links: Array, held: Array) -> Grip | None:
+        if self._sides is None:
+            return None
         root = self.embodiment.end_effector_root
-        return source_grip(self.representation, self._sides, root, self.links(demonstration), held)
+        return source_grip(self.representation, self._sides, root, T_links, held, self._pads)

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from cei_gym.alignment.contact.live import LiveGrasp
+from cei_gym.alignment.contact.refine import GraspRefiner
 from cei_gym.alignment.contact.squeeze import squeeze
 from cei_gym.alignment.judge.report import AlignmentReport
 from cei_gym.alignment.manual import ManualAlignment
@@ -25,7 +27,7 @@ from cei_gym.pointcloud.near import any_near
 from cei_gym.transfer.aligned import Aligned
 from cei_gym.transfer.attempt import Attempt, attempts
 from cei_gym.transfer.following import Followed, Following
-from cei_gym.transfer.live import LiveTransfer
+from cei_gym.transfer.live import LiveSource, LiveTransfer
 from cei_gym.transfer.options import TransferOptions
 from cei_gym.transfer.scenes import Scenes
 from cei_gym.transfer.source_side import SourceSide
@@ -76,6 +78,7 @@ class Transfer:
         self._following = Following(
             self.problem, self.solver_options, self.init, self.contact, o.stretch, o.unreachable_mm
         )
+        self._holding: Motion | None = None
         self._specified: Specified | None = None
         if o.method == "bms":
             first, second = (ManualAlignment(source, target, half_turn) for half_turn in (False, True))
@@ -113,6 +116,7 @@ class Transfer:
                 demonstration = replace(demonstration, depth_m={}, rgb={})
             motions.append(self.motion(demonstration, self._scenes.without_source(demonstration)))
         self._following.fit(motions)
+        self._holding = next((m for m in motions if m.grip is not None and m.grip.held.any()), None)
 
     def start_from(self, finalists: Sequence[Basin]) -> None:
         """Take what another transfer of the same options has fitted.
@@ -207,13 +211,25 @@ class Transfer:
         """Retarget live, one configuration of the source at a time, from where `fit` starts.
 
         Args:
-            dt_s: time between configurations; with it, joints keep their velocity limits.
+            dt_s: time between configurations; with it, joints keep their velocity limits, and what is held is known.
             T_target_source: (4, 4) pose of the source's base in the target's base frame; identity if None.
         """
+        return LiveTransfer(self.target, *self.live(dt_s, T_target_source))
+
+    def live(self, dt_s: float | None = None, T_target_source: Array | None = None) -> tuple[LiveSource, Stream]:
+        """What `stream` is made of: the source's pads, frame by frame, and what follows them."""
         u0 = self.basins[0].u if self.basins else None
-        stream = Stream(self.problem, self.solver_options, self.init, u0, dt_s)
         T = np.eye(4) if T_target_source is None else T_target_source
-        return LiveTransfer(self.target, self.place_source, stream, T)
+        stream = Stream(self.problem, self.solver_options, self.init, u0, dt_s, self._live_grasp(dt_s))
+        return LiveSource(self._side, T, self.contact.held_m, dt_s), stream
+
+    def _live_grasp(self, dt_s: float | None) -> LiveGrasp | None:
+        """Carries contact over; None where nothing that was fitted shows how something is held."""
+        if self._holding is None or self.contact.opposition_weight <= 0:
+            return None
+        followed, _ = self._following.follow(self._holding, 0)
+        refiner = GraspRefiner(self.problem, self.solver_options, self.contact)
+        return LiveGrasp(refiner, (followed.motion, followed.track), dt_s)
 
     def place_source(self, qpos: Array, T_target_source: Array) -> tuple[Array, Array]:
         """The source's points and normals (..., N, 3) in the target's base frame, at (..., n) joint positions.

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
-from cei_gym.alignment.contact.pads import pad_shapes
+from cei_gym.alignment.contact.pads import PadShapes, pad_shapes
 from cei_gym.alignment.grip import Grip
 from cei_gym.alignment.kernels.contact import SOFTNESS_M
 from cei_gym.arrays import Array
@@ -23,6 +23,7 @@ def source_grip(
     root: int,
     T_base_links: Array,
     held: Array,
+    pads: PadShapes | None = None,
 ) -> Grip:
     """What a source does.
 
@@ -32,11 +33,12 @@ def source_grip(
         root: link of its end-effector that carries all others.
         T_base_links: (T, L, 4, 4) its links, in the target's base frame.
         held: (T,) whether it holds something.
+        pads: shapes of its pads, if they are at hand.
     """
     _, normals = representation.place(T_base_links)
     axis = normals[:, sides == 0].mean(axis=1) - normals[:, sides == 1].mean(axis=1)
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    pads = pad_shapes(representation, sides)
+    pads = pads or pad_shapes(representation, sides)
     contacts = np.zeros((len(axis), 2, 3))
     for side, points in zip(pads.side, pads.place(T_base_links), strict=True):
         pressing = axis if side == 0 else -axis

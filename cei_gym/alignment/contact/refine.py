@@ -15,6 +15,7 @@ from cei_gym.alignment.grip import Grip
 from cei_gym.alignment.kernels import grasp as kernels
 from cei_gym.alignment.kernels.contact import Grasp, in_grip
 from cei_gym.alignment.kernels.distance import distances
+from cei_gym.alignment.kernels.overlap import overlaps
 from cei_gym.alignment.kernels.target import make_target
 from cei_gym.alignment.links import collision_constraint, no_collision_constraint, pack_obstacles
 from cei_gym.alignment.options import ContactOptions, SolverOptions
@@ -45,8 +46,8 @@ class GraspRefiner:
         if (grip := self._grip(motion)) is None:
             return track
         reference = int(np.argmax(grip.held)) if grip.held.any() else -1
-        target, grasp, away, pads = self._arrays
-        if self._turned_around(grip.axis[max(reference, 0)], track.u[max(reference, 0)]):
+        target, grasp, away, pads = self.arrays
+        if self.turned_around(grip.axis[max(reference, 0)], track.u[max(reference, 0)]):
             grasp = grasp._replace(side=1 - grasp.side)
         support, around, elsewhere = self._surroundings(motion, grip, len(track.u))
         u, miss = kernels.refine(
@@ -56,7 +57,8 @@ class GraspRefiner:
             pads,
             around,
             elsewhere,
-            kernels.GripArrays(grip.axis, grip.contacts, grip.position, grip.rotation, grip.held, reference),
+            kernels.GripArrays(grip.axis, grip.contacts, grip.position, grip.rotation, grip.held),
+            reference,
             (motion.dt_s or 0.0) * self._options.velocity_scale,
             np.ascontiguousarray(track.u, float),
         )
@@ -67,9 +69,9 @@ class GraspRefiner:
         count."""
         if (grip := self._grip(motion)) is None:
             return np.zeros(len(u)), [""] * len(u)
-        target, _, away, pads = self._arrays
+        target, _, away, pads = self.arrays
         _, around, elsewhere = self._surroundings(motion, grip, len(u))
-        depth_m, which = kernels.overlaps(target, away, pads, around, elsewhere, np.ascontiguousarray(u, float))
+        depth_m, which = overlaps(target, away, pads, around, elsewhere, np.ascontiguousarray(u, float))
         return depth_m, [self._problem.embodiment.link_names[body] for body in which]
 
     def _grip(self, motion: Motion) -> Grip | None:
@@ -77,7 +79,7 @@ class GraspRefiner:
         return motion.grip if self._sides is not None and self._contact.opposition_weight > 0 else None
 
     @cached_property
-    def _arrays(self):
+    def arrays(self):
         """The target with all its joints, its pads, and its links: those that keep clear of all points, and pads."""
         assert self._sides is not None
         problem, c = self._problem, self._contact
@@ -120,7 +122,7 @@ class GraspRefiner:
         away = links._replace(idle=~touches)
         return target, grasp, away, links._replace(idle=touches, height_m=-np.inf)
 
-    def _turned_around(self, axis: Array, u: Array) -> bool:
+    def turned_around(self, axis: Array, u: Array) -> bool:
         """Whether the target's side 0 does at `u` what the source's side 1 does, whose side 0 presses along `axis`."""
         _, normals = self._problem.place(u)
         mean = [normals[self._sides == side].mean(axis=0) for side in (0, 1)]
