@@ -59,7 +59,8 @@ class Physics:
 
 class RobotEnvironment(Protocol):
     """An environment of one embodiment. Observations have `agent_pos` (n,), rad or m, actions are absolute joint targets (n,), and
-    `info` has `is_success` and, in one or two words, `failure`.
+    `info` has `is_success` and, in one or two words, `failure`. Where steps may take other than `1 / render_fps`, `info` also has
+    `step_time_s`, what the step took in the simulation, s, and the environment `longest_step_s`, the most that one takes.
 
     Attributes:
         embodiment: the robot in it.
@@ -130,6 +131,12 @@ def physics_of(env: gym.Env) -> Physics:
     """How the environment inside any wrappers treats its robot; nothing if it does not say so, by an attribute `physics`."""
     physics = getattr(env.unwrapped, "physics", None)
     return physics if isinstance(physics, Physics) else Physics()
+
+
+def longest_step_s(env: gym.Env) -> float | None:
+    """Most time of the simulation, s, that a step of the environment inside any wrappers takes; None if it does not say so."""
+    longest = getattr(env.unwrapped, "longest_step_s", None)
+    return None if longest is None else float(longest)
 
 
 def robot_environment(env: gym.Env) -> RobotEnvironment:

@@ -20,6 +20,7 @@ lerobot-train --dataset.repo_id=me/pick_cube_iiwa --dataset.root="$folder/iiwa" 
 
 cei-deploy --policy="$policy"
 
+# At the end: "From observation to action: ... ms". The simulated robot waits for its joints by itself; for yours, see what cei-deploy has said of --robot.wait_s.
 PYTHONPATH="$(dirname "$0")" lerobot-rollout --policy.path="$policy" --fps=20 --duration="$seconds" --device=cpu \
   --play_sounds=false --return_to_initial_position=false \
   --robot.type=cei --robot.trained_on="$policy" --robot.unit=deg --robot.discover_packages_path=simulated_robot \

@@ -51,6 +51,7 @@ SLOW = {
     "test_actions": 27,
     "test_functional": 27,
     "test_site": 27,
+    "test_step_time": 26,
     "test_rendering": 26,
     "test_wrapper": 25,
     "test_lerobot_env": 22,

@@ -62,6 +62,19 @@ def opened(name: str, task: str = "PickCube", **options) -> CEIEnv:
     return env
 
 
+def test_a_step_says_what_the_simulations_clock_says() -> None:
+    env = opened(OWN[1])
+    env.reset(seed=0)
+    target, took = env.embodiment.home.astype(np.float32), []
+    for shift in (0.1, 0.0, 0.0, 0.0):
+        target[: env.embodiment.n_arm] += shift
+        before = env.simulation.data.time
+        took.append(env.step(target)[4]["step_time_s"])
+        assert took[-1] == pytest.approx(env.simulation.data.time - before)
+    assert took[0] > took[-1] == 1 / CONTROL_HZ
+    env.close()
+
+
 @pytest.fixture(scope="module", params=OWN)
 def env(request: pytest.FixtureRequest):
     env = opened(request.param, T_world_base=ELSEWHERE)

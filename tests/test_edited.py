@@ -24,6 +24,7 @@ from cei_converters.dataset.essentials import Remains, essentials, with_essentia
 from cei_converters.dataset.metadata import Environment, Metadata
 from cei_converters.dataset.records import RECORDS_PATH, Records, RecordWriter
 from cei_converters.dataset.starts import find_starts
+from cei_converters.dataset.step_time import StepTime, StepTimes
 from cei_converters.inspection import command as inspecting
 from cei_converters.sources.reader import DatasetReader
 from cei_converters.view.episode import load_view
@@ -389,6 +390,9 @@ def test_what_was_merged_is_restored_from_both(made: Made, copied: Callable[[str
         (1, 1, "b"),
     ]
     card = (root / "README.md").read_text()
+    timed = [len(StepTimes.of(each).each) for each in found]
+    assert timed == [len(episode) for episode in DatasetReader("me/merged", root)]  # as `rich` had from `panda`
+    assert metadata.step_time_s == StepTime.of(found, 20) and metadata.step_time_s.steps == sum(timed)
     assert "### Part 1" in card and "2 of `a`, 1 of `b`" in card and card.count("`me/rich`") >= 2
     fewer = copied("again")  # from what was restored, edited once more
     assert restored(fewer, f"--original={root}") == 0

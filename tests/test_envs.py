@@ -372,6 +372,19 @@ def test_a_step_waits_until_the_joints_are_there(name: str, envs: dict[str, CEIE
     assert round((env.simulation.data.time - time) * 20) == 1
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_step_says_how_long_it_took(name: str, envs: dict[str, CEIEnv]) -> None:
+    env = envs[name]
+    assert env.reset(seed=0)[1]["step_time_s"] == 0
+    target, took = env.embodiment.home.astype(np.float32), []
+    for shift in (0.1, 0.0, 0.0, 0.0, 0.0, 0.0):
+        target[: env.embodiment.n_arm] += shift
+        before = env.simulation.data.time
+        took.append(env.step(target)[4]["step_time_s"])
+        assert took[-1] == pytest.approx(env.simulation.data.time - before)
+    assert took[0] > took[-1] == 1 / CONTROL_HZ and max(took) <= env.longest_step_s == 0.25
+
+
 @pytest.mark.parametrize(
     "action",
     [

@@ -391,7 +391,7 @@ def test_a_recorded_dataset_tells_no_path(secret: Path, capsys: pytest.CaptureFi
     check_nothing_is_told(root)
     provenance = Metadata.load(root).provenance
     given = {"env": "CEI-PickCube-Panda-PandaGripper", "repo_id": "me/recorded", "episodes": 1, "variation": 0.5}
-    assert provenance.options == {**given, "seed": 0, "colours": False, "privileged_state": False}
+    assert provenance.options == {**given, "seed": 0, "colours": False, "fixed_rate": False, "privileged_state": False}
     assert provenance.command == "cei-record " + " ".join([options[0], options[3], options[1], options[2]])
 
 

@@ -18,11 +18,13 @@ from lerobot.processor import PolicyProcessorPipeline
 from lerobot.robots import make_robot_from_config
 
 from cei_converters import convert
+from cei_converters.dataset.metadata import Metadata
 from cei_converters.sources.joint_map import JointGroup, JointMap
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
 from cei_gym.wrapper import CrossEmbodimentWrapper
 from lerobot_robot_cei import CEIRobotConfig, RobotClouds, TrainedOn, deploy
+from lerobot_robot_cei.deploy import needs
 from lerobot_robot_cei.joints import RobotJoints
 
 ROOT = Path(__file__).parents[1]
@@ -95,6 +97,19 @@ def test_a_checkpoint_knows_its_robot(folder: Path, known: TrainedOn) -> None:
     assert known.embodiment().joint_names == tuple(name.removesuffix(".pos_rad") for name in known.joint_names)
     config = json.loads((checkpoint(folder) / "config.json").read_text())
     assert config["action_feature_names"] == [f"{name}.pos" for name in known.embodiment().joint_names]
+
+
+def test_a_checkpoint_knows_how_long_its_demonstrations_steps_took(folder: Path, known: TrainedOn) -> None:
+    said = known.metadata.step_time_s
+    assert said is not None and said == Metadata.load(folder / "iiwa").step_time_s
+    assert said.robots == ("Panda-PandaGripper",) and said.waits
+    waiting = known.waiting()
+    assert waiting is not None and said.sentence(20) in waiting and "--robot.wait_s=0.25;" in waiting
+    assert "\n".join(needs(known)).count(waiting) == 1
+    older = {name: value for name, value in known.encode().items() if name != "step_time_s"}
+    assert TrainedOn.decode(older, "here").waiting() is None
+    in_time = replace(known, metadata=replace(known.metadata, step_time_s=replace(said, in_time=1.0, max=0.05)))
+    assert in_time.waiting() is None and "as 20 frames a second say" in "\n".join(needs(in_time))
 
 
 @pytest.mark.parametrize("channels", [3, 6])
@@ -207,6 +222,8 @@ def test_a_joint_map_of_datasets_reads_the_robot_too() -> None:
         ({"cloud_shape": [64, 3]}, r"clouds have 128 points, but cloud_shape is \(64, 3\)"),
         ({"cloud_shape": [128, 4]}, r"cloud_shape should be \(N, 3 or 6\)"),
         ({"cei": {"format_version": "9.0"}}, "format_version is 9.0"),
+        ({"step_time_s": {"mean": 3}}, "step_time_s: "),
+        ({"step_time_s": "slow"}, "step_time_s should be a JSON object"),
     ],
 )
 def test_what_strangers_say_of_their_policy_is_checked(known: TrainedOn, change: dict, said: str) -> None:
@@ -317,6 +334,53 @@ def test_it_waits_for_slow_joints_as_long_as_it_is_told(
     assert slow.looks <= looks
     reached = max(abs(slow.at[name] - slow.target[name]) for name in slow.at)
     assert (np.radians(reached) < 0.02) == (wait_s == 30.0)
+
+
+@pytest.mark.parametrize(("wait_s", "times"), [(0.0, 1), (0.25, 0)])
+def test_a_robot_that_does_not_wait_as_the_demonstrations_did_says_so(
+    folder: Path, known: TrainedOn, monkeypatch: pytest.MonkeyPatch, wait_s: float, times: int
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("logging.warning", lambda text, *values: said.append(text % values))
+    monkeypatch.setattr(simulated_robot.SimulatedRobot, "connect", Slow.connect)
+    own = {"type": "simulated", "env": ENV}
+    config = CEIRobotConfig(robot=own, trained_on=str(checkpoint(folder)), unit="deg", wait_s=wait_s)
+    make_robot_from_config(config).connect()
+    assert said.count(str(known.waiting())) == len(said) == times
+
+
+@pytest.mark.parametrize(
+    ("rate", "wait_s", "complains"),
+    [
+        (20.0, 0.0, False),
+        (13.0, 0.0, True),
+        (13.0, 0.25, False),
+        (20.0, 0.25, False),
+        (5.0, 0.25, True),
+        (30.0, 0.25, True),
+    ],
+)
+def test_another_rate_than_the_demonstrations_is_told(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, rate: float, wait_s: float, complains: bool
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("logging.warning", lambda text, *values: said.append(text % values))
+    for name in ("connect", "get_observation", "send_action"):
+        monkeypatch.setattr(simulated_robot.SimulatedRobot, name, getattr(Slow, name))
+    monkeypatch.setattr("lerobot_robot_cei.cei.sleep", lambda seconds: None)
+    own = {"type": "simulated", "env": ENV}
+    config = CEIRobotConfig(robot=own, trained_on=str(folder / "iiwa"), unit="deg", start_tolerance=9.0, wait_s=wait_s)
+    robot, now = make_robot_from_config(config), [0.0]
+    robot.connect()
+    said.clear()
+    wanted = dict.fromkeys(robot.action_features, 0.0)
+    monkeypatch.setattr("lerobot_robot_cei.cei.monotonic", lambda: now[0])
+    for _ in range(20):
+        robot.send_action(wanted)
+        now[0] += 1 / rate
+    assert [text.startswith(f"Actions come at {rate:.1f} a second") for text in said if "Actions" in text] == [
+        True
+    ] * complains
 
 
 def test_targets_beyond_limits_are_told_at_them_and_that_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,6 +37,7 @@ class RecordConfig:
     depth_noise: str | None = None  # What makes depth like a real camera's, such as kinect; default: nothing.
     colours: bool = False  # Pictures beside depth, so that clouds have colours.
     sensors: list[str] | None = None  # What else the robot feels, such as [wrench], as observation.<sensor>.
+    fixed_rate: bool = False  # A step is one period and waits for no joint, so that the frames a second are true.
     privileged_state: bool = False  # Let policies see the state of objects, as observation.environment_state.
     teleop: str | None = None  # Demonstrate by hand, with keyboard or spacemouse; default: the scripted expert does.
     push_to_hub: bool = False  # Upload the dataset.
@@ -70,9 +71,10 @@ def record(config: RecordConfig) -> dict[str, Any]:
     from cei_converters.cli.result import write_json
     from cei_converters.dataset import schema
     from cei_converters.dataset.hub import check_destination, check_repo_id, push
-    from cei_converters.dataset.metadata import Environment
+    from cei_converters.dataset.metadata import Environment, Metadata, plain
     from cei_converters.dataset.place import check_place
     from cei_converters.dataset.provenance import collect, command_line, published
+    from cei_converters.dataset.step_time import STEP_TIMES
     from cei_converters.dataset.writer import DatasetWriter, default_root
     from cei_converters.simulation.environment import open_environment
 
@@ -85,6 +87,8 @@ def record(config: RecordConfig) -> dict[str, Any]:
     kwargs = {name: value for name, value in given.items() if value is not None}
     if config.colours:
         kwargs["colours"] = True
+    if config.fixed_rate:
+        kwargs["max_hold_ticks"] = 1
     env = open_environment(config.env, **kwargs)
     seeds = range(config.seed, config.seed + config.episodes)
     results = []
@@ -112,11 +116,14 @@ def record(config: RecordConfig) -> dict[str, Any]:
             success = bool(info["is_success"])
             results.append({"seed": seed, "success": success, "failure": info["failure"], "frames": len(demonstration)})
             if success:
-                writer.add(demonstration, {"seed": seed, "success": True, **how})
+                times = {STEP_TIMES: info[STEP_TIMES]} if STEP_TIMES in info else {}
+                writer.add(demonstration, {"seed": seed, "success": True, **how, **times})
             progress.advance(task)
         if not results:
             raise KeyboardInterrupt
+    fps = env.metadata["render_fps"]
     env.close()
+    step_time = Metadata.load(writer.root).step_time_s
     failed = [r for r in results if not r["success"]]
     result = {
         "env": config.env,
@@ -124,12 +131,15 @@ def record(config: RecordConfig) -> dict[str, Any]:
         "root": str(writer.root),
         "episodes": len(results),
         "successes": len(results) - len(failed),
+        "step_time_s": plain(step_time),
         "results": results,
     }
     write_json(json, result)
     if len(results) < config.episodes:
         print(f"Interrupted after {len(results)} of {config.episodes} demonstrations, which are kept.")
     print(f"Wrote {result['successes']} demonstrations of {config.env} to {writer.root}.")
+    if step_time is not None:
+        print(step_time.sentence(fps))
     if failed:
         named = ", ".join(f"seed {r['seed']} ({r['failure']})" for r in failed)
         raise CEIError(f"the expert failed {len(failed)} of {len(results)} times; left out: {named}.")

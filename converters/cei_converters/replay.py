@@ -51,7 +51,7 @@ class ReplayConfig:
 
 
 def replay(config: ReplayConfig) -> dict[str, Any]:
-    """Replay a dataset; print successes with a Wilson interval and the reasons of failure.
+    """Replay a dataset; print successes with a Wilson interval, the reasons of failure, and how long steps took.
 
     Raises:
         CEIError: bad options or data, or no environment to replay in.
@@ -59,6 +59,8 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
     from cei_converters.cli.outputs import JSON, Outputs
     from cei_converters.cli.progress import progress_bar
     from cei_converters.cli.result import write_json
+    from cei_converters.dataset.metadata import plain
+    from cei_converters.dataset.step_time import STEP_TIMES, StepTime
     from cei_converters.simulation.perturbation import perturbations
     from cei_converters.sources.reader import DatasetReader
 
@@ -88,6 +90,9 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
             results.append(entry)
             if filmed:
                 films.append(film_beside(reader, beside, entry, pictures))
+    step_time = StepTime.of(results, reader.fps)
+    for entry in results:
+        entry.pop(STEP_TIMES, None)  # a line each, in files that are kept
     result = {
         "repo_id": reader.repo_id,
         "env": stage.env_id,
@@ -99,6 +104,7 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
         "interval_95": wilson(sum(entry["success"] for entry in results), len(results)),
         "failures": dict(Counter(entry["failure"] for entry in results if not entry["success"])),
         "perturbed": held_of(results) if config.perturb else None,
+        "step_time_s": plain(step_time),
         "video": None if film is None else str(film.video),
         "results": results,
     }
@@ -106,6 +112,8 @@ def replay(config: ReplayConfig) -> dict[str, Any]:
         _write_films(film, films, reader.fps)
     write_json(json, result)
     _print(result)
+    if step_time is not None:
+        print(step_time.sentence(reader.fps))
     return result
 
 

@@ -214,10 +214,11 @@ def _write(root: Path, repo_id: str, metadata: "Metadata", matches: list[_Match]
     """Write all files, or none."""
     from cei_converters.dataset.card import write_card
     from cei_converters.dataset.license import merge_license_files
-    from cei_converters.dataset.locate import INFO_PATH
+    from cei_converters.dataset.locate import INFO_PATH, read_info
     from cei_converters.dataset.metadata import PICTURE_PATH
     from cei_converters.dataset.place import temporary_folder
-    from cei_converters.dataset.records import ROWS, RecordWriter
+    from cei_converters.dataset.records import ROWS, Records, RecordWriter
+    from cei_converters.dataset.step_time import StepTime
 
     originals = _unique([match.original for match in matches])
     with temporary_folder(within=root) as made:
@@ -231,6 +232,7 @@ def _write(root: Path, repo_id: str, metadata: "Metadata", matches: list[_Match]
                     record["provenance"] = metadata.provenances.index(whose)
                 origin = {"repo_id": match.original.name, "episode": match.episode}
                 records.add({**record, ROWS: rows, "restored_from": origin})
+        metadata = replace(metadata, step_time_s=StepTime.of(Records(made), read_info(root)["fps"]))
         whole = [match.episode for match in matches] == list(range(len(originals[0].digests)))
         if len(originals) == 1 and whole and (originals[0].root / PICTURE_PATH).is_file():
             shutil.copyfile(originals[0].root / PICTURE_PATH, made / PICTURE_PATH)

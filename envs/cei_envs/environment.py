@@ -226,13 +226,15 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         self.simulation.reset(qpos)
         self.apply_state(state)
         self.simulation.forward()
-        self._target, self._stalled, self._held = qpos, 0, 0
+        self._target, self._stalled, self._held, self._ticks = qpos, 0, 0, 0
         self.begin()
         self._stage = "begun"
         return self._observation(), self._info()
 
     def step(self, action: Array):
-        """Drive the joints to absolute targets; returns when they are there, at rest, or out of time.
+        """Drive the joints to absolute targets; returns when they are there, at rest, or out of time (`longest_step_s`).
+
+        How long that took in the simulation is `info["step_time_s"]`, one control period or several.
 
         Raises:
             CEIError: the action is not (n,) finite numbers, or no episode has begun.
@@ -246,9 +248,11 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
             n = len(self.embodiment.lower)
             raise CEIError(f"an action of {self.embodiment.name} is {n} finite joint targets, not {error}.") from None
         self._target = np.clip(action, self.embodiment.lower, self.embodiment.upper)
+        self._ticks = 0
         for _ in range(self._max_hold_ticks):
             before = self.simulation.qpos
             self.simulation.tick(self._target)
+            self._ticks += 1
             self._held = self._held + 1 if self.is_done() else 0
             if self._is_success() or self._arrived(before):
                 break
@@ -302,6 +306,11 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
     def model(self) -> mujoco.MjModel:
         """The simulation's model."""
         return self.simulation.model
+
+    @property
+    def longest_step_s(self) -> float:
+        """Most time of the simulation, s, that a step waits for the joints."""
+        return self._max_hold_ticks / CONTROL_HZ
 
     @property
     def physics(self) -> Physics:
@@ -394,7 +403,11 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
     def _info(self) -> dict[str, Any]:
         success = self._is_success()
         reason = "unreachable" if self._stalled >= STALLED_STEPS else self.failure_reason()
-        return {"is_success": success, "failure": "" if success else reason}
+        return {
+            "is_success": success,
+            "failure": "" if success else reason,
+            "step_time_s": self._ticks / CONTROL_HZ,
+        }
 
 
 def _checked_scale(value: Any) -> float:

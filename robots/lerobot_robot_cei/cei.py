@@ -83,7 +83,9 @@ class CEIRobot(Robot):
         return self._robot.is_connected
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect the lab's robot."""
+        """Connect the lab's robot, and say if the demonstrations waited for their joints, as it will not."""
+        if not self.config.wait_s and (said := self._known.waiting()):
+            logging.warning("%s", said)
         self._robot.connect(calibrate)
 
     @property
@@ -182,12 +184,10 @@ class CEIRobot(Robot):
             self._began = monotonic()
         if self._told == _ACTIONS_TIMED:
             rate = (_ACTIONS_TIMED - 1) / max(monotonic() - self._began, 1e-9)
-            if abs(rate / self._known.fps - 1) > _RATES_DIFFER:
-                logging.warning(
-                    "Actions come at %.1f a second; the demonstrations have %g (--fps=%g).",
-                    rate,
-                    *[self._known.fps] * 2,
-                )
+            fps, step_time = self._known.fps, self._known.metadata.step_time_s
+            waiting = fps if step_time is None or not self.config.wait_s else 1 / step_time.mean
+            if not (1 - _RATES_DIFFER) * waiting <= rate <= (1 + _RATES_DIFFER) * fps:
+                logging.warning("Actions come at %.1f a second; the demonstrations have %g (--fps=%g).", rate, fps, fps)
 
 
 def _own(raw: dict[str, Any]) -> RobotConfig:

@@ -18,8 +18,8 @@ class CEIRobotConfig(RobotConfig):
         unit: of the robot's turning joints, `rad` or `deg`, where they are named `<joint>.pos` after the embodiment's; sliding ones are in m.
         joint_map: instead, a file that says what the robot's values mean, as `cei-convert --joint_map` takes it for its datasets.
         start_tolerance: how far a joint may stand from where a demonstration starts, before the first action, rad; one that slides, a tenth of it, m.
-        wait_s: longest time to wait for the joints after each target, until they are there or at rest, as the recorded steps did (the paper's
-            closed loop); 0 for actions at LeRobot's fixed rate.
+        wait_s: longest time to wait for the joints after each target, s, until they are there or at rest, as the recorded steps did (the paper's
+            closed loop; `cei-deploy` says how long those waited); 0 for actions at LeRobot's fixed rate.
     """
 
     robot: dict[str, Any]

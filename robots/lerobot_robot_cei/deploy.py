@@ -72,6 +72,8 @@ def needs(known: TrainedOn) -> list[str]:
     embodiment, scene = known.embodiment(), known.metadata.scene
     lower, upper = embodiment.lower, embodiment.upper
     lines = [f"{embodiment.name}, {known.fps:g} actions a second (lerobot-rollout --fps={known.fps:g})."]
+    if (step_time := known.metadata.step_time_s) is not None:
+        lines.append(known.waiting() or step_time.sentence(known.fps))
     lines.append("Joints, by name in any order (--robot.type=cei); those in brackets follow and need not be there:")
     for q, name in enumerate(embodiment.joint_names):
         unit = embodiment.joint_units[q]

@@ -11,9 +11,10 @@ from draccus.utils import DraccusException
 from cei_converters.dataset import schema
 from cei_converters.dataset.essentials import KEY, Remains, essentials, find_essentials
 from cei_converters.dataset.locate import INFO_PATH, read_info
-from cei_converters.dataset.metadata import Metadata
+from cei_converters.dataset.metadata import Metadata, plain
 from cei_converters.dataset.opening import find_metadata
 from cei_converters.dataset.starts import find_starts
+from cei_converters.dataset.step_time import StepTime
 from cei_converters.sources.calibration import Calibration
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment, load_embodiment
@@ -26,6 +27,8 @@ STEP = "cei_clouds"
 STEPS_PATH = "policy_preprocessor.json"
 """Where a checkpoint has its steps."""
 _M_PER_RAD = 0.1  # a gripper's fingers go 4 cm in all
+_STEP_TIME = "step_time_s"
+"""Not in checkpoints of before it was known."""
 _FIELDS = ("joint_names", "starts", "fps", "cloud_shape", KEY)
 
 
@@ -34,7 +37,7 @@ class TrainedOn:
     """The data behind a policy.
 
     Attributes:
-        metadata: whose demonstrations they are, base, cameras and workspace, options of clouds.
+        metadata: whose demonstrations they are, base, cameras and workspace, options of clouds, how long steps took.
         joint_names: n entries of `observation.state`, `<joint>.pos_rad` or `.pos_m`, in their order.
         starts: (k, n) where demonstrations start, the middle of each of k motions, rad or m.
         fps: frames a second.
@@ -65,6 +68,7 @@ class TrainedOn:
             "fps": info["fps"],
             "cloud_shape": None if cloud is None else schema.cloud_shape(cloud, f"{root.name}: {schema.POINT_CLOUD}"),
             KEY: essentials(metadata),
+            _STEP_TIME: plain(metadata.step_time_s),
         }
         return cls.decode(raw, root.name)
 
@@ -119,6 +123,8 @@ class TrainedOn:
             shape = (int(shape[0]), int(shape[1]))
         metadata = find_essentials({schema.STATE: {"info": {KEY: raw[KEY]}}}, where)
         assert isinstance(metadata, Remains)
+        if raw.get(_STEP_TIME) is not None:
+            metadata = replace(metadata, step_time_s=StepTime.decode(raw[_STEP_TIME], where))
         known = cls(metadata, tuple(names), starts, float(raw["fps"]), shape)
         try:
             points = known.clouds().points
@@ -136,6 +142,7 @@ class TrainedOn:
             "fps": self.fps,
             "cloud_shape": None if self.cloud_shape is None else list(self.cloud_shape),
             KEY: essentials(self.metadata),
+            _STEP_TIME: plain(self.metadata.step_time_s),
         }
 
     def embodiment(self) -> Embodiment:
@@ -161,6 +168,16 @@ class TrainedOn:
     def seen_by(self, calibration: Calibration) -> Self:
         """The same with a lab's cameras, workspace and base in the place of the recorded ones."""
         return replace(self, metadata=replace(self.metadata, scene=calibration.over(self.metadata.scene)))
+
+    def waiting(self) -> str | None:
+        """That steps of the data waited for joints, and what to do for a robot to wait likewise; None if they did not, or nobody knows."""
+        found = self.metadata.step_time_s
+        if found is None or not found.waits:
+            return None
+        return (
+            f"{found.sentence(self.fps)} A robot waits likewise with --robot.wait_s={found.at_most or found.max:g}; without, targets come "
+            "faster than demonstrations went."
+        )
 
     def complaint(self, qpos: Array, embodiment: Embodiment, tolerance: float) -> str | None:
         """Why a robot must not begin where it stands; None if it may.

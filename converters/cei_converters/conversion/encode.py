@@ -12,6 +12,7 @@ from cei_converters.dataset.columns import encode
 from cei_converters.dataset.encoded import EncodedEpisode, encode_episode
 from cei_converters.dataset.metadata import plain
 from cei_converters.dataset.picture_encoding import encode_pictures
+from cei_converters.dataset.step_time import STEP_TIMES, StepTimes
 from cei_converters.dataset.writer import Header
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ _OF_THE_SOURCE = (
     "offset",
     "painted",
     "painting",
+    STEP_TIMES,
 )
 
 
@@ -83,9 +85,10 @@ class Encode:
             "fidelity": fidelity.score,
             "weakest": fidelity.weakest,
         }
-        known = {
-            name: value for name, value in self.reader.record(recorded.index).items() if name not in _OF_THE_SOURCE
-        }
+        of_episode = self.reader.record(recorded.index)
+        known = {name: value for name, value in of_episode.items() if name not in _OF_THE_SOURCE}
+        times, shown = StepTimes.of(of_episode), moved.source_frames
+        times = times and times.at(np.arange(len(moved)) if shown is None else shown)
         record = {
             **known,
             "source_episode": recorded.index,
@@ -96,6 +99,7 @@ class Encode:
             **({} if verdict is None else {"verified": verdict.record()}),
             **({} if made.evidence is None else {"evidence": made.evidence.record()}),
             **({} if moved.source_frames is None else {"source_frames": moved.source_frames.tolist()}),
+            **({} if times is None else times.record()),
             **({"painted": sorted(made.pictures.painted)} if made.pictures.painted else {}),
             **({"painting": dict(made.painted)} if made.painted else {}),
             **figures,

@@ -13,6 +13,7 @@ from cei_converters.dataset.card_records import augmented, evidence, painting, q
 from cei_converters.dataset.license import CARD_PATH, FIELDS, license_files
 from cei_converters.dataset.metadata import METADATA_PATH, Metadata, Source
 from cei_converters.dataset.records import RECORDS_PATH, Records
+from cei_converters.dataset.step_time import STEP_TIMES
 
 CITATION = """@article{wu2026cei,
   title   = {{CEI}: A Unified Interface for Cross-Embodiment Visuomotor Policy Learning in {3D} Space},
@@ -42,6 +43,7 @@ def write_card(root: Path, repo_id: str, metadata: Metadata) -> None:
         verified(metadata, records),
         evidence(metadata, records),
         _cameras(metadata, info, records),
+        _time(metadata, info),
         _columns(metadata),
         _layout(metadata, info),
         _usage(repo_id, metadata),
@@ -130,6 +132,18 @@ def _cameras(metadata: Metadata, info: dict[str, Any], records: Records) -> str:
             f"repeat (`source_frames` in `{RECORDS_PATH}`); their videos were encoded again."
         )
     return f"## Cameras\n\n{text}"
+
+
+def _time(metadata: Metadata, info: dict[str, Any]) -> str:
+    """How long steps took; empty if that is not known."""
+    found = metadata.step_time_s
+    if found is None:
+        return ""
+    text = f"## Time\n\n{found.sentence(info['fps'])} Step by step in `{RECORDS_PATH}`, under `{STEP_TIMES}`."
+    others = [robot for robot in found.robots if robot != metadata.embodiment]
+    if others:
+        text += f" {metadata.embodiment} was not timed: a frame has the time of the step that it was converted from."
+    return text
 
 
 def _columns(metadata: Metadata) -> str:

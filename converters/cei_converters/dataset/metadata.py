@@ -13,6 +13,7 @@ import draccus
 import numpy as np
 from draccus.utils import DraccusException
 
+from cei_converters.dataset.step_time import StepTime
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
 from cei_gym.errors import CEIError, one_line
@@ -25,7 +26,7 @@ METADATA_PATH = "meta/cei.json"
 PICTURE_PATH = "meta/quality.png"
 RECORDS_OF_1_0 = "episodes"
 """Where format 1.0 has what `records` has now."""
-_MAY_BE_NULL = ("clouds", "total_episodes")
+_MAY_BE_NULL = ("clouds", "total_episodes", "step_time_s")
 REQUIRED = "embodiment, scene.T_world_base, scene.cameras (name, width, height, K, T_world_camera)"
 START = "start_qpos"
 """Argument of environments: where the dataset's own demonstrations start."""
@@ -96,6 +97,7 @@ class Metadata:
         environment: what they replay in.
         clouds: options of `cei-convert`'s clouds; None where they are the cameras' own.
         total_episodes: of the dataset that this was written for; None where it does not say.
+        step_time_s: how long steps took, if that was timed; LeRobot's time stamps are frames at a fixed rate, whatever they took.
         provenance: how they came about.
         merged: how others came about that were put together with them; of which an episode is, its record says (`provenance`).
         conventions: frames and units, in words.
@@ -107,6 +109,7 @@ class Metadata:
     environment: Environment = field(default_factory=Environment)
     clouds: dict[str, Any] | None = None
     total_episodes: int | None = None
+    step_time_s: StepTime | None = None
     provenance: Provenance = field(default_factory=Provenance)
     merged: tuple[Provenance, ...] = ()
     conventions: dict[str, str] = field(default_factory=lambda: dict(CONVENTIONS))
@@ -179,6 +182,8 @@ class Metadata:
         if empty:  # draccus takes null for anything
             raise CEIError(f"{where}: {empty[0]} is null; needed: {REQUIRED}.")
         check_scene(metadata.scene, f"{where}: scene")
+        if metadata.step_time_s is not None:
+            metadata.step_time_s.check(where)
         if version.startswith("1.") and metadata.provenance.source is not None:  # where the options were
             return dataclasses.replace(metadata, clouds=metadata.provenance.options.get("clouds", {}))
         return metadata

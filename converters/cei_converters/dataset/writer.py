@@ -3,7 +3,7 @@
 import contextlib
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,9 +19,11 @@ from cei_converters.dataset.episodes import EpisodeWriter
 from cei_converters.dataset.essentials import with_essentials
 from cei_converters.dataset.home import lerobot_home
 from cei_converters.dataset.identity import digest
+from cei_converters.dataset.locate import read_info
 from cei_converters.dataset.metadata import Environment, Metadata, Provenance, check_scene
 from cei_converters.dataset.place import HiddenFolder, absent, publish
-from cei_converters.dataset.records import ROWS, RecordWriter
+from cei_converters.dataset.records import ROWS, Records, RecordWriter
+from cei_converters.dataset.step_time import StepTime
 from cei_gym.demonstration import Demonstration, Scene
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError
@@ -211,11 +213,12 @@ def publish_dataset(partial: Path, root: Path, repo_id: str, metadata: Metadata)
         partial: where it is.
         root: where it is wanted.
         repo_id: its name.
-        metadata: what is known of it.
+        metadata: what is known of it; how long steps took, its records say.
 
     Raises:
         CEIError: something is there now.
     """
+    metadata = replace(metadata, step_time_s=StepTime.of(Records(partial), read_info(partial)["fps"]))
     metadata.save(partial)
     write_card(partial, repo_id, metadata)
     publish(partial, root)

@@ -61,7 +61,7 @@ def inspect(config: InspectConfig) -> dict[str, Any]:
     """Print a table of columns, what is wrong in plain words, and a joint map.
 
     Returns:
-        Columns, problems, and the proposed map or None.
+        Columns, problems, the proposed map or None, and how long steps took or None.
 
     Raises:
         CEIError: bad options, or a dataset that cannot be read.
@@ -88,6 +88,8 @@ def inspect(config: InspectConfig) -> dict[str, Any]:
     frames = sum(len(episode.state) for episode in recordings.episodes)
     title = f"{config.dataset.repo_id}: {len(recordings.episodes)} of {recordings.total} episodes, {frames} frames"
     print_table([column.row() for column in columns], title)
+    if recordings.step_time_s is not None and recordings.fps is not None:
+        print(recordings.step_time_s.sentence(recordings.fps))
     of_joints, explained, proposal = _joints(config, mapped, recordings, columns)
     found = problems(recordings, columns, explained) + of_joints
     if explained and mapped is None:
@@ -95,7 +97,12 @@ def inspect(config: InspectConfig) -> dict[str, Any]:
     print("\n".join(f"- {problem}" for problem in found) or "Nothing is wrong.")
     if proposal is not None:
         _print_map(proposal, config, file)
-    result = {"columns": columns, "problems": found, "proposal": proposal}
+    result = {
+        "columns": columns,
+        "problems": found,
+        "proposal": proposal,
+        "step_time_s": recordings.step_time_s,
+    }
     write_json(json, result)
     if file is not None and proposal is None:
         if explained:

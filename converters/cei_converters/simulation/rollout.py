@@ -6,9 +6,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from cei_converters.dataset.step_time import StepTimes
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Demonstration
-from cei_gym.environment import robot_environment
+from cei_gym.environment import longest_step_s, robot_environment
 
 HOLD_STEPS = 20
 """Steps that the last target is held for a success to show."""
@@ -41,17 +42,27 @@ def roll_out(
         policy: the first observation to actions (n,), absolute joint targets, rad or m.
 
     Returns:
-        For each step the channels that a demonstration has of it, and the last `info`.
+        For each step the channels that a demonstration has of it, and the last `info`, with what each step took (`timed`).
     """
     channels = robot_environment(env).channels
     observation, info = env.reset(seed=seed)
     frames: list[dict[str, Any]] = []
+    infos: list[dict[str, Any]] = []
     for action in policy(observation):
         frames.append({**channels(), "action": action})
         observation, _, terminated, truncated, info = env.step(action)
+        infos.append(info)
         if terminated or truncated:
             break
-    return frames, info
+    return frames, info | timed(env, infos)
+
+
+def timed(env: gym.Env, infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What each step took in the simulation, by its `info`, as a field of an episode's record; nothing where the environment does not say."""
+    each = [float(info["step_time_s"]) for info in infos if "step_time_s" in info]
+    if not each or len(each) < len(infos):
+        return {}
+    return StepTimes(robot_environment(env).embodiment.name, each, longest_step_s(env)).record()
 
 
 def as_demonstration(env: gym.Env, frames: Sequence[Mapping[str, Any]], index: int) -> Demonstration:

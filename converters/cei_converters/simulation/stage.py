@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from cei_converters.simulation.rollout import HOLD_STEPS
+from cei_converters.simulation.rollout import HOLD_STEPS, timed
 from cei_gym.arrays import Array
 from cei_gym.environment import Physics, physics_of
 from cei_gym.errors import CEIError
@@ -55,7 +55,7 @@ class Stage:
         """Execute a demonstration's actions from its recorded start, the last one held for a success to show; perturbed, if that is given.
 
         Returns:
-            The result (episode, success, failure, steps, frames), and a picture a step if filmed.
+            The result (episode, success, failure, steps, frames, and what steps took), and a picture a step if filmed.
 
         Raises:
             CEIError: it is of another robot, or has no start.
@@ -75,10 +75,10 @@ class Stage:
         start = {"environment_state": state, "agent_pos": demonstration.qpos[0], **others}
         _, info = env.reset(seed=demonstration.index, options=start)
         pictures: list[Any] = [env.render()] if filmed else []
-        steps = 0
+        infos: list[dict[str, Any]] = []
         for action in [*demonstration.action, *[demonstration.action[-1]] * HOLD_STEPS]:
             _, _, terminated, truncated, info = env.step(action.astype(np.float32))
-            steps += 1
+            infos.append(info)
             if filmed:
                 pictures.append(env.render())
             if terminated or truncated:
@@ -87,8 +87,9 @@ class Stage:
             "episode": demonstration.index,
             "success": bool(info["is_success"]),
             "failure": info["failure"],
-            "steps": steps,
+            "steps": len(infos),
             "frames": len(demonstration),
+            **timed(env, infos),
         }
         return entry, pictures
 

@@ -17,7 +17,7 @@ from cei_converters.dataset.decoding import decode_frames, decode_pictures
 from cei_converters.dataset.depth import camera_name, check_depth_feature, image_depth_m, video_depth_m
 from cei_converters.dataset.locate import locate
 from cei_converters.dataset.metadata import METADATA_PATH, restore_with
-from cei_converters.dataset.opening import choose_embodiment, describe, load_metadata, task_texts
+from cei_converters.dataset.opening import choose_embodiment, describe, find_metadata, load_metadata, task_texts
 from cei_converters.dataset.records import RECORDS_PATH, ROWS, load_records
 from cei_converters.sources.actions import BoundActions, action_map, bind_actions, of_all_joints
 from cei_converters.sources.binding import BoundJointMap, bind
@@ -330,4 +330,6 @@ def recordings(repo_id: str, root: str | Path | None, most: int, state: str, act
             times_s, numbers = (found[key].ravel() if key in found else None for key in ("timestamp", "frame_index"))
             yield Recording(index, found[state], None if action is None else found[action], times_s, numbers)
 
-    return Recordings(names, float(meta.fps), list(episodes()), meta.total_episodes, action_names)
+    metadata = find_metadata(folder)
+    step_time_s = None if metadata is None else metadata.step_time_s
+    return Recordings(names, float(meta.fps), list(episodes()), meta.total_episodes, action_names, step_time_s)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from cei_converters.dataset.step_time import StepTime
 from cei_gym.arrays import Array
 
 
@@ -37,6 +38,7 @@ class Recordings:
         fps: as declared, or None.
         episodes: those that were read.
         total: how many there are.
+        step_time_s: how long steps took, if the dataset says so.
     """
 
     names: list[str]
@@ -44,6 +46,7 @@ class Recordings:
     episodes: list[Recording]
     total: int
     action_names: Sequence[str] = field(default_factory=tuple)
+    step_time_s: StepTime | None = None
 
     @property
     def same_columns(self) -> bool:
