@@ -62,6 +62,7 @@ class RobotView:
 
     Attributes:
         colours: (ngeom, 3) of all geoms in [0, 1].
+        links: (ngeom,) whose they are, as in `poses`.
     """
 
     def __init__(
@@ -76,6 +77,18 @@ class RobotView:
         colours = [geom_colours(robot.model)[:, :3] for robot in robots]
         self._first_geoms = np.cumsum([0, *map(len, colours)])
         self.colours = np.ascontiguousarray(np.concatenate(colours), float)
+        first_links = np.cumsum([0, *(robot.model.nbody for robot in robots)])
+        self.links = np.concatenate(
+            [robot.model.geom_bodyid + first for robot, first in zip(robots, first_links[:-1], strict=True)]
+        )
+
+    def poses(self, qpos: Array) -> Array:
+        """(links, 4, 4) poses in the world of all robots' links at (n,) joint positions."""
+        return np.concatenate(self._placed(qpos))
+
+    def _placed(self, qpos: Array) -> list[Array]:
+        joints = zip(self._trees, np.split(qpos, self._ends), strict=True)
+        return [self._T_world_base @ tree.forward(q) for tree, q in joints]
 
     def draw(self, qpos: Array, finer: int = 1, camera: Camera | None = None) -> Drawn:
         """The part of the picture that shows the robots.
@@ -86,8 +99,7 @@ class RobotView:
             camera: another that sees it.
         """
         camera = camera or self.camera
-        joints = np.split(qpos, self._ends)
-        T_world_links = [self._T_world_base @ tree.forward(q) for tree, q in zip(self._trees, joints, strict=True)]
+        T_world_links = self._placed(qpos)
         top, left, bottom, right = self._box(T_world_links, camera)
         K = camera.K.copy()
         K[0, 2] -= left
@@ -122,6 +134,14 @@ class RobotView:
         top, bottom = np.clip([np.floor(v.min()) - 1, np.ceil(v.max()) + 2], 0, whole[2]).astype(int)
         left, right = np.clip([np.floor(u.min()) - 1, np.ceil(u.max()) + 2], 0, whole[3]).astype(int)
         return (int(top), int(left), int(bottom), int(right)) if top < bottom and left < right else (0, 0, 1, 1)
+
+
+def delayed(qpos: Array, by_frames: float) -> Array:
+    """(T, n) joints that pictures show which trail them: at frame t those of t - by_frames, between frames in proportion, at the ends as there."""
+    at = np.clip(np.arange(len(qpos)) - by_frames, 0, len(qpos) - 1)
+    first = np.minimum(at.astype(int), max(0, len(qpos) - 2))
+    share = (at - first)[:, None]
+    return (1 - share) * qpos[first] + share * qpos[np.minimum(first + 1, len(qpos) - 1)]
 
 
 def _corners(model: mujoco.MjModel) -> tuple[Array, Array]:

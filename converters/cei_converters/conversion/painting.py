@@ -13,7 +13,7 @@ from cei_converters.sources.recording import spread
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.errors import CEIError
-from cei_gym.painting import Agreement, Painter, Plate, Shot, agreement, carries
+from cei_gym.painting import Agreement, Painter, Plate, Shot, agreement, carries, delayed
 
 if TYPE_CHECKING:
     from cei_converters.sources.source import Source
@@ -76,12 +76,14 @@ class Painting:
         pictures, painted = made.pictures, dict[str, dict[str, Any]]()
         for key, camera in self.cameras.items():
             shot = self._shot(made.recorded, moved.scene.T_world_base, key, camera)
-            shown, figures = self._painter(key, recorded, moved)(shot, frames, moved.qpos)
+            qpos = delayed(moved.qpos, camera.lag_s * recorded.fps)  # by as much as the scene around it
+            shown, figures = self._painter(key, recorded, moved)(shot, frames, qpos)
             pictures, painted[key] = pictures.paint(key, shown), figures.record()
         return replace(made, pictures=pictures, painted=painted)
 
     def _shot(self, recorded: Recorded, T_world_target: Array, key: str, camera: Camera) -> Shot:
         demonstration = recorded.demonstration
+        demonstration = replace(demonstration, qpos=delayed(demonstration.qpos, camera.lag_s * demonstration.fps))
         pictures = recorded.pictures.decode(key)
         if demonstration.source_frames is not None:
             pictures = pictures[demonstration.source_frames]
@@ -115,7 +117,7 @@ class Painting:
         covered: list[Array] = []
         for which in spread(len(self._episodes), _EPISODES):
             index = self._episodes[which]
-            qpos = self._reader.read(index, clouds=False).qpos
+            qpos = delayed(self._reader.read(index, clouds=False).qpos, camera.lag_s * self._reader.fps)
             few = np.array([*spread(len(qpos), _FRAMES)])
             pictures.append(self._reader.pictures(index).at(few).decode(key))
             covered += robot.covered(qpos[few])
