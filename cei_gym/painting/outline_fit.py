@@ -36,7 +36,10 @@ MET_PX = 2.0
 _BELIEF = np.array(
     [0.05, 0.05, 0.05, 0.03, 0.03, 0.03, 0.03, 0.1]
 )  # rad, m, of the focal length's logarithm, and s of lag
-_OTHER_START = np.array([0.01, -0.015, 0.005, 0.005, 0.005, -0.005, 0.01, 0.05])  # some ten pixels, and three frames
+_STARTS = np.outer(
+    [0, 1, -1], [0.01, -0.015, 0.005, 0.005, 0.005, -0.005, 0.01, 0.0]
+)  # some twenty pixels around the guess
+_LAGS_S, _FAST = np.arange(-2, 7) * 0.05, 8  # that are tried, in so many pictures
 _MOST_APART_PX, _LEAST_MET = 2.0, 0.4
 _COUNT = 300  # what all edges together count, as if so many knew nothing of each other
 _MOMENT_S = 0.02
@@ -65,26 +68,30 @@ def fit_outlines(
         What was found, with the lag in `camera.lag_s`, and the share of the outlines at which there is an edge within two pixels.
 
     Raises:
-        CEIError: nothing is found that two starts, each with half of the pictures, agree on.
+        CEIError: nothing is found that both halves of the pictures agree on, or their edges are not the robots'.
     """
     extras.require_module("finding a camera", "cv2")
     if len(footage.pictures) < 8:
         raise CEIError(f"a camera is found by 8 pictures or more, not {len(footage.pictures)}.")
     view = RobotView(robots[0], T_world_base, guess, robots[1:])
     counts = np.concatenate([_of_arms(robot) for robot in robots])
-    fits = [OutlineFit(view, part, counts) for part in (footage, footage.half(0), footage.half(1))]
-    if not fits[0].is_seen(np.zeros(8)):
+    whole, *halves = [OutlineFit(view, part, counts) for part in (footage, footage.half(0), footage.half(1))]
+    if not whole.is_seen(np.zeros(8)):
         raise CEIError(f"{robots[0].name} is not in the view of camera {guess.name!r} by the guess; give a better one.")
-    found: list[Array] = []
-    for i, (fit, start) in enumerate(zip(fits, (0 * _OTHER_START, 0 * _OTHER_START, _OTHER_START), strict=True)):
-        found.append(fit.refined(start))
-        advance((i + 1) / 3)
-    whole, *ends = found
-    apart, most = fits[0].apart_px(*ends)
-    met, _ = fits[0].met(whole)
+    ends: list[Array] = []
+    for i, start in enumerate(_STARTS):
+        ends.append(whole.refined(whole.lagged(start)))
+        advance(0.7 * (i + 1) / len(_STARTS))
+    best = max(ends, key=whole.met)
+    # From different starts, where there are such that come to the same.
+    same = [start for start, end in zip(_STARTS, ends, strict=True) if whole.apart_px(best, end)[0] < _MOST_APART_PX]
+    sides = [half.refined(half.lagged(start)) for half, start in zip(halves, (same[0], same[-1]), strict=True)]
+    advance(1.0)
+    apart, most = whole.apart_px(*sides)
+    met = whole.met(best)
     if not apart <= _MOST_APART_PX:
         raise CEIError(
-            f"no camera is found: by one half of the pictures and one start {guess.name!r} is {apart:.1f} pixels from where it is by the others (at most "
+            f"no camera is found: by one half of the pictures {guess.name!r} is {apart:.1f} pixels from where it is by the other (at most "
             f"{_MOST_APART_PX:g}); click some points of the robot, or give a better guess."
         )
     if met < _LEAST_MET:
@@ -92,12 +99,12 @@ def fit_outlines(
             f"no camera is found: pictures of {guess.name!r} have an edge at {100 * met:.0f} % of the robot's outline (at least {100 * _LEAST_MET:.0f}); click some "
             "points of the robot, or see whether joints and base are right."
         )
-    camera, qpos = fits[0].camera(whole), footage.qpos_at(whole[7])
+    camera, qpos = whole.camera(best), footage.qpos_at(best[7])
     last = RobotView(robots[0], T_world_base, camera, robots[1:])
     covered = [np.flatnonzero(grown(last.silhouette(q), MET_PX)) for q in qpos]
     pictures = np.rint(255 * footage.pictures).astype(np.uint8)
     agreed = agreement(pictures, covered, Plate.median(pictures, covered))
-    return CameraFit(camera, apart, most, fits[0].apart_px(whole, np.zeros(8))[0], agreed), met
+    return CameraFit(camera, apart, most, whole.apart_px(best, np.zeros(8))[0], agreed), met
 
 
 def _of_arms(robot: Embodiment) -> Array:
@@ -185,18 +192,27 @@ class OutlineFit:
         off_px = np.linalg.norm(pixels[0] - pixels[1], axis=1)
         return (float(off_px.mean()), float(off_px.max())) if len(off_px) else (np.inf, np.inf)
 
+    def lagged(self, candidate: Array) -> Array:
+        """The candidate with the lag, of a few, by which outlines meet most edges where robots are fast."""
+        qpos_at = self._footage.qpos_at
+        fast = np.argsort(-np.abs(qpos_at(0.0) - qpos_at(0.1)).max(axis=1))[:_FAST]
+        few = OutlineFit(
+            self._view, Footage(self._footage.pictures[fast], lambda lag_s: qpos_at(lag_s)[fast]), self._counts
+        )
+        tried = [np.append(candidate[:7], lag_s) for lag_s in _LAGS_S]
+        return max(tried, key=lambda each: few.met(each, REACHES_PX[0] / 4))
+
     def refined(self, candidate: Array, reaches_px: Sequence[float] = REACHES_PX) -> Array:
         """The candidate near one whose outlines are the pictures' edges."""
         for reach_px in reaches_px:
             candidate = self._met(candidate, reach_px * self._scale)
         return candidate
 
-    def met(self, candidate: Array) -> tuple[float, float]:
-        """The share of the outlines that have an edge within two pixels, and the median distance of those that have one within four, pixels."""
-        seen = self._edges(candidate, REACHES_PX[-1] * self._scale)
+    def met(self, candidate: Array, within_px: float = MET_PX) -> float:
+        """The share of the outlines that have an edge within some pixels."""
+        seen = self._edges(candidate, 2 * within_px * self._scale)
         off_px = np.abs(self._off_px(candidate, candidate, seen))
-        within = (off_px < MET_PX * self._scale).sum() / max(1, len(off_px) + seen.missing)
-        return float(within), float(np.median(off_px)) if len(off_px) else np.inf
+        return float((off_px < within_px * self._scale).sum() / max(1, len(off_px) + seen.missing))
 
     def _met(self, start: Array, reach_px: float) -> Array:
         seen = self._edges(start, reach_px)
@@ -237,13 +253,7 @@ class OutlineFit:
             local = np.einsum("mji,mj->mi", T[1][:, :3, :3], points - T[1][:, :3, 3])
             ends = [np.einsum("mij,mj->mi", each[:, :3, :3], local) + each[:, :3, 3] for each in (T[0], T[2])]
             speed = (ends[1] - ends[0]) / (2 * _MOMENT_S)
-            parts.append(
-                (
-                    points,
-                    speed,
-                    outline.pixels[at] + off_px[at, None] * outline.normals[at],
-                    outline.normals[at],
-                    moves[link],
-                )
-            )
-        return _Edges(*(np.concatenate(each) for each in zip(*parts, strict=True)), missing)
+            edges = outline.pixels[at] + off_px[at, None] * outline.normals[at]
+            parts.append((points, speed, edges, outline.normals[at], moves[link]))
+        points, speed, edges, normals, weights = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return _Edges(points, speed, edges, normals, weights, missing)

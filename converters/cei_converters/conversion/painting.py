@@ -135,7 +135,7 @@ class Painting:
                 f"--cameras.paint: pictures of {key} change all over ({100 - 100 * found.still:.0f} % of them), so that the camera moves, which cannot be "
                 "painted; leave it out with --cameras.keep."
             )
-        if found.explained < _LEAST_EXPLAINED:
+        if max(found.explained, found.filled) < _LEAST_EXPLAINED:  # what is carried may be larger than the robot
             raise CEIError(
                 f"--cameras.paint: of what moves in pictures of {key} only {100 * found.explained:.0f} % is where {name} should be, so that its calibration "
                 "(or the joints, or the base's pose) is wrong; nothing is painted by it."
