@@ -41,10 +41,10 @@ class CalibrateConfig:
     calibration: Path | None = None  # YAML with the guess; default: meta/cei.json. What else it says is kept.
     # YAML: four or more points of the robot, and where pictures show them; of the guess only the focal length is used.
     clicks: Path | None = None
-    by: str = SURFACES  # or outlines: of real pictures, whose covers and sheen no description has; it finds how far the video trails the joints, too.
-    beside: list[Path] | None = (
-        None  # Joint maps of other robots in view on the same base (an other arm), each with its embodiment; by outlines.
-    )
+    # surfaces, or outlines: of real pictures, whose covers and sheen no description has; finds the video's lag, too.
+    by: str = SURFACES
+    # By outlines: joint maps of other robots in view on the same base, such as another arm, each with its embodiment.
+    beside: list[Path] | None = None
     sheet: Path | None = None  # PNG: outlines of the robot in some pictures, by the guess and as found.
     source: str | None = None  # Embodiment of a dataset that does not say it (no meta/cei.json).
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
