@@ -21,6 +21,7 @@ class Camera:
         width, height: image size in pixels.
         K: (3, 3) intrinsics in pixels.
         T_world_camera: (4, 4) pose of the camera in the world; OpenCV axes (x right, y down, z forward).
+        lag_s: by so much its pictures trail the joints recorded with them, s. Known of cameras whose pictures are painted; depth is taken as it is.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Camera:
     height: int
     K: Array
     T_world_camera: Array
+    lag_s: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ SLOW = {
     "test_signals": 60,
     "test_robosuite_tasks": 60,
     "test_pick": 60,
+    "test_outlines": 60,
     "test_augmentation": 54,
     "test_embodiment": 53,
     "test_policy_benchmark": 50,

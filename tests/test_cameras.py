@@ -342,6 +342,8 @@ def test_calibration_wins_over_the_scene(calibration: Path) -> None:
             lambda c: c["cameras"]["side"].update(T_world_camera={**LOOKING_DOWN, "quaternion_wxyz": [0, 0, 0, 0]}),
             "quaternion_wxyz should have length 1, not 0",
         ),
+        (lambda c: c["cameras"]["side"].update(lag_s="late"), "lag_s should be a number, not late"),
+        (lambda c: c["cameras"]["side"].update(lag_s=60), "lag_s should be at most 2 s, not 60"),
         (lambda c: c.update(workspace_world=[[1, 1, 1], [0, 0, 0]]), "workspace_world should be [[x, y, z] lower"),
         (lambda c: c.update(workspace_world=[0, float("nan"), 0]), "workspace_world should be numbers"),
         (lambda c: c.update(T_world_base=[[2, 0], [0, 2]]), "T_world_base should be a 4x4 rigid transform"),

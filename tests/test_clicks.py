@@ -67,13 +67,13 @@ def test_files_of_clicks_that_are_wrong_are_refused(text: str, says: str, tmp_pa
     path = tmp_path / "clicks.yaml"
     path.write_text(text)
     with pytest.raises(CEIError) as error:
-        load_clicks(path, load_embodiment("Panda-PandaGripper"), 640, 480)
+        load_clicks(path, [load_embodiment("Panda-PandaGripper")], 640, 480)
     assert says in str(error.value) and "\n" not in str(error.value)
 
 
 def test_a_file_of_clicks_is_read(tmp_path: Path) -> None:
     path = tmp_path / "clicks.yaml"
     path.write_text(GOOD * 4 + GOOD.replace("link5", "{link: link5, xyz: [0.1, 0, 0.2]}"))
-    clicks = load_clicks(path, load_embodiment("Panda-PandaGripper"), 640, 480)
+    clicks = load_clicks(path, [load_embodiment("Panda-PandaGripper")], 640, 480)
     np.testing.assert_allclose(clicks[4].xyz_link, (0.1, 0, 0.2))
     assert clicks[0].body == clicks[4].body and clicks[0].pixel.tolist() == [20, 30]

@@ -12,7 +12,7 @@ from cei_gym.embodiment.embodiment import Embodiment
 _WHERE = ("name", "description", "folder", "package_path", "xacro_args", "servo", "self_contact", "remark")
 """Of a specification: what it is called, where files are whose content is in the model, and what a simulation alone knows."""
 
-_SHOWN = {"arm": ("mount_pos_m", "mount_quat_wxyz", "until_body"), "end_effector": ("joints",)}
+_SHOWN = {"arm": ("mount_pos_m", "mount_quat_wxyz", "until_body", "leave_out"), "end_effector": ("joints",)}
 """What came later and the model shows anyway, so that robots without it are what they were."""
 
 

@@ -121,11 +121,11 @@ def _subtree(arm: ArmSpec, description: Description) -> tuple[mujoco.MjSpec, set
     links = _only(spec, arm, spec.joints)
     if arm.until_body:
         _end_at(spec, arm)
+    for link in arm.leave_out:
+        _take_away(spec, _named(spec, link, f"link in leave_out of {arm.name}"))
     if not arm.root_body:
         return spec, links
-    root = spec.body(arm.root_body)
-    if root is None:
-        raise unknown(f"root_body of {arm.name}", arm.root_body, [b.name for b in spec.bodies])
+    root = _named(spec, arm.root_body, f"root_body of {arm.name}")
     whole = mujoco.MjSpec()
     root.pos, root.quat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
     whole.worldbody.add_frame().attach_body(root, "", "")
@@ -134,21 +134,30 @@ def _subtree(arm: ArmSpec, description: Description) -> tuple[mujoco.MjSpec, set
 
 def _end_at(spec: mujoco.MjSpec, arm: ArmSpec) -> None:
     """Take away an arm's links from `until_body` on; of one that is the flange, its frame and its joint stay."""
-    end = spec.body(arm.until_body)
-    if end is None:
-        raise unknown(f"until_body of {arm.name}", arm.until_body, [b.name for b in spec.bodies])
+    end = _named(spec, arm.until_body, f"until_body of {arm.name}")
     if arm.until_body != arm.mount_body:
-        _hold(spec, {joint.name for joint in end.find_all("joint")})
-        spec.delete(end)
+        _take_away(spec, end)
         return
     for child in list(end.bodies):
-        _hold(spec, {joint.name for joint in child.find_all("joint")})
-        spec.delete(child)
+        _take_away(spec, child)
     for geom in list(end.geoms):
         spec.delete(geom)
     # As much as a joint needs; what it carried is the end-effector's.
     end.fullinertia = np.full(6, np.nan)
     end.explicitinertial, end.mass, end.ipos, end.inertia = True, _BARE_KG, np.zeros(3), np.full(3, _BARE_KG_M2)
+
+
+def _named(spec: mujoco.MjSpec, link: str, what: str) -> mujoco.MjsBody:
+    found = spec.body(link)
+    if found is None:
+        raise unknown(what, link, [body.name for body in spec.bodies])
+    return found
+
+
+def _take_away(spec: mujoco.MjSpec, link: mujoco.MjsBody) -> None:
+    """Take away a link and what hangs on it."""
+    _hold(spec, {joint.name for joint in link.find_all("joint")})
+    spec.delete(link)
 
 
 def _hold(spec: mujoco.MjSpec, held: set[str]) -> set[str]:
@@ -181,8 +190,7 @@ def _leave_to_hand(
     if root is None or root.name == arm.until_body == arm.mount_body:
         return
     if _place(end_effector, relative_to).path == description.assets.place.path:
-        _hold(spec, {joint.name for joint in root.find_all("joint")})
-        spec.delete(root)
+        _take_away(spec, root)
 
 
 def _root(part: EndEffectorSpec, description: Description, notes: list[str]) -> mujoco.MjsBody:

@@ -132,6 +132,7 @@ class ArmSpec(_Part):
         joints: those of the description that are the arm's; others are held where they are drawn; empty means all.
         until_body: the first link that is an end-effector's and no more the arm's, where one file has both; what hangs on it goes with it,
             but if it is `mount_body` its frame and joint stay.
+        leave_out: links that are no part of it, with what hangs on them: a humanoid's head and its other arm, say.
         inertia_groups: first and last group of the geoms that have mass, where the description leaves that to the file
             that includes it.
         max_velocity: largest speed of joints, rad/s or m/s; the others have their URDF's, or a default.
@@ -158,6 +159,7 @@ class ArmSpec(_Part):
     root_body: str = ""
     joints: list[str] = field(default_factory=list[str])
     until_body: str = ""
+    leave_out: list[str] = field(default_factory=list[str])
     inertia_groups: list[int] = field(default_factory=list[int])
     simulator_name: str = ""
     physics: list[PhysicsException] = field(default_factory=list[PhysicsException])

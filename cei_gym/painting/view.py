@@ -1,6 +1,7 @@
 """A robot as one camera sees it, drawn finer than the camera's pixels so that edges are smooth."""
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -51,53 +52,80 @@ class Drawn:
 
 
 class RobotView:
-    """Draws an embodiment at joint positions.
+    """Draws an embodiment at joint positions, and others beside it.
 
     Args:
         embodiment: whose visual geoms are drawn.
         T_world_base: (4, 4) pose of its base.
         camera: what sees it.
+        beside: others on the same base, such as a humanoid's other arm; their joints and geoms come after its own, in turn.
 
     Attributes:
-        colours: (ngeom, 3) of its geoms in [0, 1].
+        colours: (ngeom, 3) of all geoms in [0, 1].
+        links: (ngeom,) whose they are, as in `poses`.
     """
 
-    def __init__(self, embodiment: Embodiment, T_world_base: Array, camera: Camera) -> None:
+    def __init__(
+        self, embodiment: Embodiment, T_world_base: Array, camera: Camera, beside: Sequence[Embodiment] = ()
+    ) -> None:
         self.camera = camera
-        self._T_world_base, self._tree = T_world_base, KinematicTree(embodiment)
-        self._eye = DepthCamera(embodiment.model, (), geoms=visual_geoms(embodiment.model))
-        self._corners = _corners(embodiment.model)
-        self.colours = np.ascontiguousarray(geom_colours(embodiment.model)[:, :3], float)
+        robots = (embodiment, *beside)
+        self._T_world_base, self._trees = T_world_base, [KinematicTree(robot) for robot in robots]
+        self._ends = np.cumsum([len(robot.joint_names) for robot in robots])[:-1]
+        self._eyes = [DepthCamera(robot.model, (), geoms=visual_geoms(robot.model)) for robot in robots]
+        self._corners = [_corners(robot.model) for robot in robots]
+        colours = [geom_colours(robot.model)[:, :3] for robot in robots]
+        self._first_geoms = np.cumsum([0, *map(len, colours)])
+        self.colours = np.ascontiguousarray(np.concatenate(colours), float)
+        first_links = np.cumsum([0, *(robot.model.nbody for robot in robots)])
+        self.links = np.concatenate(
+            [robot.model.geom_bodyid + first for robot, first in zip(robots, first_links[:-1], strict=True)]
+        )
+
+    def poses(self, qpos: Array) -> Array:
+        """(links, 4, 4) poses in the world of all robots' links at (n,) joint positions."""
+        return np.concatenate(self._placed(qpos))
+
+    def _placed(self, qpos: Array) -> list[Array]:
+        joints = zip(self._trees, np.split(qpos, self._ends), strict=True)
+        return [self._T_world_base @ tree.forward(q) for tree, q in joints]
 
     def draw(self, qpos: Array, finer: int = 1, camera: Camera | None = None) -> Drawn:
-        """The part of the picture that shows the robot.
+        """The part of the picture that shows the robots.
 
         Args:
-            qpos: (n,) joint positions, rad or m.
+            qpos: (n,) joint positions, rad or m, of all of them.
             finer: pixels to draw for one of the picture's, in each direction.
             camera: another that sees it.
         """
         camera = camera or self.camera
-        T_world_links = self._T_world_base @ self._tree.forward(qpos)
+        T_world_links = self._placed(qpos)
         top, left, bottom, right = self._box(T_world_links, camera)
         K = camera.K.copy()
         K[0, 2] -= left
         K[1, 2] -= top
         part = replace(camera, width=(right - left) * finer, height=(bottom - top) * finer, K=resized(K, finer))
-        depth_m, geom_id = self._eye.render_at(T_world_links, (part,))[part.name]
+        depth_m, geom_id = np.zeros((part.height, part.width), np.float32), np.full((part.height, part.width), -1)
+        for eye, T, first in zip(self._eyes, T_world_links, self._first_geoms[:-1], strict=True):
+            its_depth_m, its_geom_id = eye.render_at(T, (part,))[part.name]
+            nearer = (its_geom_id >= 0) & ((geom_id < 0) | (its_depth_m < depth_m))
+            depth_m = np.where(nearer, its_depth_m, depth_m)
+            geom_id = np.where(nearer, its_geom_id + first, geom_id)
         return Drawn(part, top, left, finer, depth_m, geom_id)
 
     def silhouette(self, qpos: Array) -> Array:
-        """(H, W) bool, where the robot is at (n,) joint positions, whatever is before it."""
+        """(H, W) bool, where the robots are at (n,) joint positions, whatever is before it."""
         drawn = self.draw(qpos)
         mask = np.zeros((self.camera.height, self.camera.width), bool)
         mask[drawn.part] = drawn.geom_id >= 0
         return mask
 
-    def _box(self, T_world_links: Array, camera: Camera) -> tuple[int, int, int, int]:
+    def _box(self, T_world_links: Sequence[Array], camera: Camera) -> tuple[int, int, int, int]:
         """First row and column and those past the last, of the pixels that may show the robot; all where part of it is behind the camera."""
-        body, points = self._corners
-        placed = np.einsum("pij,pj->pi", T_world_links[body, :3, :3], points) + T_world_links[body, :3, 3]
+        corners = zip(self._corners, T_world_links, strict=True)
+        placed = np.concatenate(
+            [np.einsum("pij,pj->pi", T[body, :3, :3], points) + T[body, :3, 3] for (body, points), T in corners]
+        )
         whole = 0, 0, camera.height, camera.width
         uv, depth_m = image_points(placed, camera)
         if (depth_m < 0.05).any():
@@ -106,6 +134,14 @@ class RobotView:
         top, bottom = np.clip([np.floor(v.min()) - 1, np.ceil(v.max()) + 2], 0, whole[2]).astype(int)
         left, right = np.clip([np.floor(u.min()) - 1, np.ceil(u.max()) + 2], 0, whole[3]).astype(int)
         return (int(top), int(left), int(bottom), int(right)) if top < bottom and left < right else (0, 0, 1, 1)
+
+
+def delayed(qpos: Array, by_frames: float) -> Array:
+    """(T, n) joints that pictures show which trail them: at frame t those of t - by_frames, between frames in proportion, at the ends as there."""
+    at = np.clip(np.arange(len(qpos)) - by_frames, 0, len(qpos) - 1)
+    first = np.minimum(at.astype(int), max(0, len(qpos) - 2))
+    share = (at - first)[:, None]
+    return (1 - share) * qpos[first] + share * qpos[np.minimum(first + 1, len(qpos) - 1)]
 
 
 def _corners(model: mujoco.MjModel) -> tuple[Array, Array]:

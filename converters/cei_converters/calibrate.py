@@ -12,17 +12,21 @@ from cei_gym import extras
 from cei_gym.errors import CEIError, unknown
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from cei_converters.sources.calibration import Calibration
+    from cei_converters.sources.filmed import Clicked, Filmed
     from cei_converters.sources.source import Source
     from cei_gym.arrays import Array
     from cei_gym.demonstration import Camera
+    from cei_gym.embodiment import Embodiment
     from cei_gym.painting.camera_fit import CameraFit
-    from cei_gym.painting.clicks import Clicks
 
 EXAMPLE = """example:
   cei-calibrate --dataset.repo_id=me/real_panda --source=Panda-PandaGripper --camera=front \\
       --calibration=rough.yaml --output=cameras.yaml --sheet=front.png"""
 
+SURFACES, OUTLINES = "surfaces", "outlines"
 _SHOWN = 6
 _GUESS_RGB, _FOUND_RGB = (230, 60, 40), (40, 220, 90)
 
@@ -37,6 +41,10 @@ class CalibrateConfig:
     calibration: Path | None = None  # YAML with the guess; default: meta/cei.json. What else it says is kept.
     # YAML: four or more points of the robot, and where pictures show them; of the guess only the focal length is used.
     clicks: Path | None = None
+    # surfaces, or outlines: of real pictures, whose covers and sheen no description has; finds the video's lag, too.
+    by: str = SURFACES
+    # By outlines: joint maps of other robots in view on the same base, such as another arm, each with its embodiment.
+    beside: list[Path] | None = None
     sheet: Path | None = None  # PNG: outlines of the robot in some pictures, by the guess and as found.
     source: str | None = None  # Embodiment of a dataset that does not say it (no meta/cei.json).
     source_pose: str | None = None  # Base pose of such a dataset: x,y,z in m, then maybe qw,qx,qy,qz.
@@ -48,6 +56,10 @@ class CalibrateConfig:
 
     def __post_init__(self) -> None:
         check_range("--pictures", self.pictures, 8, 200)
+        if self.by not in (SURFACES, OUTLINES):
+            raise unknown("way to find a camera (--by)", self.by, [SURFACES, OUTLINES])
+        if self.beside and self.by != OUTLINES:
+            raise CEIError(f"--beside is for --by={OUTLINES}; give both, or leave it out.")
         parse_pose("--source_pose", self.source_pose)
 
 
@@ -63,9 +75,9 @@ def calibrate(config: CalibrateConfig) -> None:
     from cei_converters.cli.result import write_json
     from cei_converters.conversion.cameras import calibrated
     from cei_converters.sources.calibration import load_calibration
+    from cei_converters.sources.filmed import Filmed
     from cei_converters.sources.formats import open_source
     from cei_gym.embodiment import use_package_path
-    from cei_gym.painting.camera_fit import fit_camera
 
     outputs = Outputs(config.overwrite)
     output, json = outputs.file("--output", config.output, JOINT_MAP), outputs.file("--json", config.json, JSON)
@@ -84,38 +96,43 @@ def calibrate(config: CalibrateConfig) -> None:
     )
     key = _feature(reader, config.camera)
     (guess,) = calibrated({key: reader.cameras[key]}, reader.scene.cameras, "cei-calibrate").values()
-    clicks = None if config.clicks is None else _clicks(reader, config.clicks, guess)
-    guess = guess if clicks is None else clicks.camera(guess)
-    pictures, qpos = _sampled(reader, key, config.pictures)
-    base = reader.scene.T_world_base
+    beside = [
+        open_source(config.dataset.repo_id, config.dataset.root, joint_map=path, joints_only=True)
+        for path in config.beside or ()
+    ]
+    filmed = Filmed([reader, *beside], key, config.pictures)
+    clicked = None if config.clicks is None else filmed.clicks(config.clicks, guess)
+    guess = guess if clicked is None else clicked(guess.lag_s).camera(guess)
+    robots = [source.embodiment for source in (reader, *beside)]
     with progress_bar("%") as progress:
         task = progress.add_task("finding the camera", total=100)
-        found = fit_camera(
-            reader.embodiment,
-            base,
+        found = _found(
+            config.by,
+            robots,
+            reader.scene.T_world_base,
             guess,
-            pictures,
-            qpos,
+            filmed,
+            clicked,
             lambda share: progress.update(task, completed=round(100 * share)),
-            clicks,
         )
     with output.whole() as partial:
         partial.write_text(_yaml(reader, given, found))
     if sheet is not None:
         from PIL import Image
 
-        picture = _outlined(reader, guess, found, pictures, qpos)
+        picture = _outlined(robots, reader.scene.T_world_base, guess, found.camera, filmed)
         with sheet.whole() as partial:
             Image.fromarray(picture).save(partial, format="PNG")
     result = {
         "camera": found.camera.name,
-        "pictures": len(pictures),
+        "pictures": len(filmed.pictures),
         "apart_px": found.apart_px,
         "apart_most_px": found.apart_most_px,
         "moved_px": found.moved_px,
         "explained": found.agreement.explained,
         "K": found.camera.K.tolist(),
         "T_world_camera": found.camera.T_world_camera.tolist(),
+        "lag_s": found.camera.lag_s,
         "output": str(output),
     }
     write_json(json, result)
@@ -138,59 +155,14 @@ def _feature(reader: "Source", camera: str) -> str:
     raise unknown("camera with pictures", camera, [camera_name(key) for key in coloured])
 
 
-def _clicks(reader: "Source", path: Path, guess: "Camera") -> "Clicks":
-    """What was clicked, in the world.
-
-    Raises:
-        CEIError: the file is wrong, or an episode or frame is none of the dataset's.
-    """
-    from cei_converters.sources.clicks import load_clicks
-    from cei_gym.kinematics import KinematicTree
-    from cei_gym.painting.clicks import Clicks
-
-    clicks = load_clicks(path, reader.embodiment, guess.width, guess.height)
-    tree = KinematicTree(reader.embodiment)
-    joints: dict[int, Array] = {}
-    points: list[Array] = []
-    for i, click in enumerate(clicks):
-        if click.episode >= len(reader):
-            raise CEIError(f"{path.name}: click {i + 1}: episode {click.episode} is none of the {len(reader)}.")
-        if click.episode not in joints:
-            joints[click.episode] = reader.read(click.episode, clouds=False).qpos
-        qpos = joints[click.episode]
-        if click.frame >= len(qpos):
-            raise CEIError(
-                f"{path.name}: click {i + 1}: frame {click.frame} is none of the {len(qpos)} of episode {click.episode}."
-            )
-        T_world_link = reader.scene.T_world_base @ tree.forward(qpos[click.frame])[click.body]
-        points.append(T_world_link[:3, :3] @ click.xyz_link + T_world_link[:3, 3])
-    return Clicks(np.stack(points), np.stack([click.pixel for click in clicks]))
-
-
-def _sampled(reader: "Source", key: str, most: int) -> tuple["Array", "Array"]:
-    """(N, H, W, 3) uint8 pictures, spread over episodes and their frames, and (N, n) joints in them."""
-    from cei_converters.sources.recording import spread
-
-    episodes = spread(len(reader), max(1, most // 6))
-    each = -(-most // len(episodes))
-    pictures: list[Array] = []
-    qpos: list[Array] = []
-    for index in episodes:
-        joints = reader.read(index, clouds=False).qpos
-        few = np.array(spread(len(joints), each))
-        pictures.append(reader.pictures(index).at(few).decode(key))
-        qpos.append(joints[few])
-    if sum(map(len, pictures)) < 8:
-        raise CEIError(f"{reader.repo_id} has {sum(map(len, pictures))} frames; a camera is found by 8 or more.")
-    return np.concatenate(pictures)[:most], np.concatenate(qpos)[:most]
-
-
 def _sentence(found: "CameraFit") -> str:
     position = ", ".join(f"{value:.3f}" for value in found.camera.T_world_camera[:3, 3])
+    camera = found.camera
+    lag = f" Its pictures trail the joints by {camera.lag_s:.3f} s." if camera.lag_s else ""
     return (
         f"Camera {found.camera.name!r} is at ({position}) m, with a focal length of {found.camera.K[0, 0]:.1f} pixels; on the robot {found.moved_px:.1f} pixels from "
         f"the guess. Two halves of the pictures agree within {found.apart_px:.2f} pixels (at most {found.apart_most_px:.2f}); of what moves {100 * found.agreement.explained:.0f} % "
-        "is where joints say."
+        f"is where joints say.{lag}"
     )
 
 
@@ -205,6 +177,7 @@ def _yaml(reader: "Source", given: "Calibration | None", found: "CameraFit") -> 
             "height": camera.height,
             "K": camera.K.tolist(),
             "T_world_camera": camera.T_world_camera.tolist(),
+            **({"lag_s": round(camera.lag_s, 4)} if camera.lag_s else {}),
         }
         for name, camera in cameras.items()
     }
@@ -215,22 +188,40 @@ def _yaml(reader: "Source", given: "Calibration | None", found: "CameraFit") -> 
     return said + yaml.safe_dump(text, sort_keys=False, default_flow_style=None)
 
 
-def _outlined(reader: "Source", guess: "Camera", found: "CameraFit", pictures: "Array", qpos: "Array") -> "Array":
-    """(H', W', 3) uint8: the robot's outline in some pictures, by the guess (red) and as found (green)."""
+def _found(
+    by: str,
+    robots: "Sequence[Embodiment]",
+    T_world_base: "Array",
+    guess: "Camera",
+    filmed: "Filmed",
+    clicked: "Clicked | None",
+    advance: "Callable[[float], None]",
+) -> "CameraFit":
+    """The camera by surfaces or by outlines."""
+    from cei_gym.painting import Footage, fit_camera, fit_outlines
+
+    if by == OUTLINES:
+        footage = Footage(filmed.pictures.astype(np.float32) / 255, filmed.qpos_at, clicked)
+        return fit_outlines(robots, T_world_base, guess, footage, advance)[0]
+    clicks = None if clicked is None else clicked(guess.lag_s)
+    return fit_camera(robots[0], T_world_base, guess, filmed.pictures, filmed.qpos_at(guess.lag_s), advance, clicks)
+
+
+def _outlined(
+    robots: "Sequence[Embodiment]", T_world_base: "Array", guess: "Camera", found: "Camera", filmed: "Filmed"
+) -> "Array":
+    """(H', W', 3) uint8: the robots' outlines in some pictures, by the guess (red) and as found (green)."""
     import cv2
 
     from cei_converters.sources.recording import spread
     from cei_gym.painting.view import RobotView
 
-    views = [
-        (RobotView(reader.embodiment, reader.scene.T_world_base, camera), colour)
-        for camera, colour in ((guess, _GUESS_RGB), (found.camera, _FOUND_RGB))
-    ]
     shown: list[Array] = []
-    for i in spread(len(pictures), _SHOWN):
-        picture = np.ascontiguousarray(pictures[i])
-        for view, colour in views:
-            mask = view.silhouette(qpos[i]).astype(np.uint8)
+    for i in spread(len(filmed.pictures), _SHOWN):
+        picture = np.ascontiguousarray(filmed.pictures[i])
+        for camera, colour in ((guess, _GUESS_RGB), (found, _FOUND_RGB)):
+            view = RobotView(robots[0], T_world_base, camera, robots[1:])
+            mask = view.silhouette(filmed.qpos_at(camera.lag_s)[i]).astype(np.uint8)
             outlines, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
             picture = cv2.drawContours(picture, outlines, -1, colour, 1)
         shown.append(picture)

@@ -53,6 +53,7 @@ ELSEWHERE = {
     r"cei-record .* --seed=100 .*": "for what follows it; README.md records others",
     r"cei-(convert|replay) .*--dataset\.repo_id=(lab|me)/lift .*": "needs a file of robosuite's; tests/test_robosuite_tasks.py makes one",
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-convert .*--target=XArm7-ShadowHand .*": "needs ../shared/robots; tests/test_target_pose_auto.py runs another",
+    r"cei-calibrate .*--by=outlines .*": "needs ../shared; tests/test_outlines.py runs it",
     r"CEI_GYM_PACKAGE_PATH=\S+ python benchmarks/pads\.py": "needs ../shared/robots; a picture",
     r"cei-benchmark replay (--tables=main|--seed=1000 --results=\S+)": "an hour; tests/test_benchmark_command.py runs it smaller",
 }

@@ -13,7 +13,7 @@ from cei_converters.sources.recording import spread
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera, Demonstration
 from cei_gym.errors import CEIError
-from cei_gym.painting import Agreement, Painter, Plate, Shot, agreement, carries
+from cei_gym.painting import Agreement, Painter, Plate, Shot, agreement, carries, delayed
 
 if TYPE_CHECKING:
     from cei_converters.sources.source import Source
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _EPISODES, _FRAMES = 8, 8  # that are looked at for what is behind the robot, and of each
 _LEAST_COVERED = 0.0005
 _LEAST_EXPLAINED, _DOUBTFUL = 0.5, 0.85
-_LEAST_STILL = 0.85
+_LEAST_STILL = 0.75  # a large object that is carried, and a body that sways a little, are left
 
 
 class Painting:
@@ -76,12 +76,14 @@ class Painting:
         pictures, painted = made.pictures, dict[str, dict[str, Any]]()
         for key, camera in self.cameras.items():
             shot = self._shot(made.recorded, moved.scene.T_world_base, key, camera)
-            shown, figures = self._painter(key, recorded, moved)(shot, frames, moved.qpos)
+            qpos = delayed(moved.qpos, camera.lag_s * recorded.fps)  # by as much as the scene around it
+            shown, figures = self._painter(key, recorded, moved)(shot, frames, qpos)
             pictures, painted[key] = pictures.paint(key, shown), figures.record()
         return replace(made, pictures=pictures, painted=painted)
 
     def _shot(self, recorded: Recorded, T_world_target: Array, key: str, camera: Camera) -> Shot:
         demonstration = recorded.demonstration
+        demonstration = replace(demonstration, qpos=delayed(demonstration.qpos, camera.lag_s * demonstration.fps))
         pictures = recorded.pictures.decode(key)
         if demonstration.source_frames is not None:
             pictures = pictures[demonstration.source_frames]
@@ -115,7 +117,7 @@ class Painting:
         covered: list[Array] = []
         for which in spread(len(self._episodes), _EPISODES):
             index = self._episodes[which]
-            qpos = self._reader.read(index, clouds=False).qpos
+            qpos = delayed(self._reader.read(index, clouds=False).qpos, camera.lag_s * self._reader.fps)
             few = np.array([*spread(len(qpos), _FRAMES)])
             pictures.append(self._reader.pictures(index).at(few).decode(key))
             covered += robot.covered(qpos[few])
@@ -133,7 +135,7 @@ class Painting:
                 f"--cameras.paint: pictures of {key} change all over ({100 - 100 * found.still:.0f} % of them), so that the camera moves, which cannot be "
                 "painted; leave it out with --cameras.keep."
             )
-        if found.explained < _LEAST_EXPLAINED:
+        if max(found.explained, found.filled) < _LEAST_EXPLAINED:  # what is carried may be larger than the robot
             raise CEIError(
                 f"--cameras.paint: of what moves in pictures of {key} only {100 * found.explained:.0f} % is where {name} should be, so that its calibration "
                 "(or the joints, or the base's pose) is wrong; nothing is painted by it."

@@ -27,6 +27,8 @@ PICTURE_PATH = "meta/quality.png"
 RECORDS_OF_1_0 = "episodes"
 """Where format 1.0 has what `records` has now."""
 _MAY_BE_NULL = ("clouds", "total_episodes", "step_time_s")
+MOST_LAG_S = 2.0
+"""By more no camera's pictures trail the joints."""
 REQUIRED = "embodiment, scene.T_world_base, scene.cameras (name, width, height, K, T_world_camera)"
 START = "start_qpos"
 """Argument of environments: where the dataset's own demonstrations start."""
@@ -244,6 +246,8 @@ def check_scene(scene: Scene, where: str) -> None:
             raise CEIError(
                 f"{place}: K should be 3x3 [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, fx and fy positive."
             )
+        if not abs(camera.lag_s) <= MOST_LAG_S:
+            raise CEIError(f"{place}: lag_s should be at most {MOST_LAG_S:g} s, not {camera.lag_s:g}.")
         if camera.width <= 0 or camera.height <= 0:
             raise CEIError(f"{place}: size {camera.width}x{camera.height} should be positive.")
 

@@ -252,6 +252,7 @@ def _same_scene(a: Scene, b: Scene) -> bool:
             (one.name, one.width, one.height) == (other.name, other.width, other.height)
             and np.allclose(one.K, other.K)
             and np.allclose(one.T_world_camera, other.T_world_camera)
+            and one.lag_s == other.lag_s
             for one, other in zip(a.cameras, b.cameras, strict=True)
         )
     )

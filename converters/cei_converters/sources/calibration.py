@@ -20,6 +20,7 @@ FORMAT = """a calibration (world z up, metres; T_world_camera maps camera to wor
       height: 480
       K: {fx: 600.0, fy: 600.0, cx: 320.0, cy: 240.0}  # px; or 3x3
       T_world_camera: {position: [1.0, 0.0, 1.5], quaternion_wxyz: [0.0, 0.7071, 0.7071, 0.0]}  # or 4x4
+      lag_s: 0.1  # by so much its pictures trail the joints; default: 0
   workspace_world: [[0.2, -0.5, 0.0], [0.9, 0.5, 1.0]]  # the box clouds are cropped to; its floor is the table, but for --table_z_m
   T_world_base: {position: [0.0, 0.0, 0.0], quaternion_wxyz: [1.0, 0.0, 0.0, 0.0]}  # or --source_pose; default: the world's origin"""
 _CAMERA_FIELDS = ("width", "height", "K", "T_world_camera")
@@ -81,12 +82,13 @@ def load_calibration(path: str | Path) -> Calibration:
 
 
 def _camera(name: str, raw: object, where: str) -> Camera:
-    fields = _mapping(raw, where, _CAMERA_FIELDS)
+    fields = _mapping(raw, where, (*_CAMERA_FIELDS, "lag_s"), _CAMERA_FIELDS)
     for side in ("width", "height"):
         if type(fields[side]) is not int:
             raise CEIError(f"{where}: {side} should be a whole number of pixels, not {fields[side]!r}.")
     K, T = _intrinsics(fields["K"], f"{where}: K"), _pose(fields["T_world_camera"], f"{where}: T_world_camera")
-    return Camera(name, fields["width"], fields["height"], K, T)
+    lag_s = float(_array(fields.get("lag_s", 0.0), f"{where}: lag_s", shape=()))
+    return Camera(name, fields["width"], fields["height"], K, T, lag_s)
 
 
 def _intrinsics(raw: object, where: str) -> Array:

@@ -1,5 +1,6 @@
 """Points of a robot that somebody clicked in a camera's pictures, from a YAML file."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ class Click:
 
     Attributes:
         episode, frame: which picture.
-        body: the link's index in the robot's model.
+        body: the link's index in the robots' models, one after the other.
         xyz_link: (3,) the point in its frame, m.
         pixel: (2,) column and row.
     """
@@ -34,8 +35,8 @@ class Click:
     pixel: Array
 
 
-def load_clicks(path: Path, robot: Embodiment, width: int, height: int) -> list[Click]:
-    """Read and check a file of clicks in pictures of a size; see `FORMAT`.
+def load_clicks(path: Path, robots: Sequence[Embodiment], width: int, height: int) -> list[Click]:
+    """Read and check a file of clicks in pictures of a size; see `FORMAT`. A link is the first robot's that has it.
 
     Raises:
         CEIError: naming the file, the click and the field.
@@ -46,10 +47,10 @@ def load_clicks(path: Path, robot: Embodiment, width: int, height: int) -> list[
         raise CEIError(f"clicks {path} cannot be read: {one_line(error)}.") from error
     if not isinstance(raw, list) or not 4 <= len(raw) <= _MOST:
         raise CEIError(f"{path.name} should be a list of 4 to {_MOST} clicks, each with {', '.join(_FIELDS)}.")
-    return [_click(each, f"{path.name}: click {i + 1}", robot, width, height) for i, each in enumerate(raw)]
+    return [_click(each, f"{path.name}: click {i + 1}", robots, width, height) for i, each in enumerate(raw)]
 
 
-def _click(raw: Any, where: str, robot: Embodiment, width: int, height: int) -> Click:
+def _click(raw: Any, where: str, robots: Sequence[Embodiment], width: int, height: int) -> Click:
     if not isinstance(raw, dict) or set(raw) != set(_FIELDS):
         raise CEIError(f"{where} should have {', '.join(_FIELDS)}, and nothing else.")
     for name in ("episode", "frame"):
@@ -58,14 +59,21 @@ def _click(raw: Any, where: str, robot: Embodiment, width: int, height: int) -> 
     point = raw["point"] if isinstance(raw["point"], dict) else {"link": raw["point"], "xyz": [0, 0, 0]}
     if set(point) != {"link", "xyz"} or not isinstance(point["link"], str):
         raise CEIError(f"{where}: point should be a link's name, or link and xyz (m, in its frame).")
-    try:
-        body = robot.body_id(point["link"])
-    except CEIError as error:
-        raise CEIError(f"{where}: {error}") from None
+    body = _body(point["link"], robots, where)
     pixel = _row(raw["pixel"], 2, f"{where}: pixel")
     if not (-0.5 <= pixel[0] <= width - 0.5 and -0.5 <= pixel[1] <= height - 0.5):
         raise CEIError(f"{where}: pixel {pixel.tolist()} is outside pictures of {width}x{height}.")
     return Click(raw["episode"], raw["frame"], body, _row(point["xyz"], 3, f"{where}: xyz"), pixel)
+
+
+def _body(link: str, robots: Sequence[Embodiment], where: str) -> int:
+    first, refused = 0, ""
+    for robot in robots:
+        try:
+            return first + robot.body_id(link)
+        except CEIError as error:
+            first, refused = first + robot.model.nbody, refused or str(error)
+    raise CEIError(f"{where}: {refused}")
 
 
 def _row(value: object, count: int, where: str) -> Array:
