@@ -120,6 +120,7 @@ NOT_WRITTEN = {
         "joint_map",
         "calibration",
         "clicks",
+        "beside",
         "package_path",
         "replay",
     ),
