@@ -359,9 +359,9 @@ def test_the_command_records_what_a_person_does(
     assert (result["episodes"], result["successes"]) == (1, 1)
 
     reader = DatasetReader("me/hand", tmp_path / "hand")
-    record = dict(reader.record(0))
-    assert min(record.pop("step_times_s")["each"]) > 0
-    assert record == {"seed": 3, "success": True, "teleop": "keyboard"}
+    stored = dict(reader.record(0))
+    assert min(stored.pop("step_times_s")["each"]) > 0
+    assert stored == {"seed": 3, "success": True, "teleop": "keyboard"}
     assert len(reader.records) == 1
     episode = reader.read(0)
     start, _ = envs[PANDA].reset(seed=3)
