@@ -29,7 +29,8 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
 
     Args:
         env: its observation is a `Dict` with joint positions (n,) and a cloud (N, 3) or, with colours,
-            (N, 6), its actions are joint targets (n,).
+            (N, 6), its actions are joint targets (n,). An impersonated robot's steps are as far apart as its metadata's
+            `render_fps` says; without one, speeds are unlimited and nothing is known to be held.
         impersonate: from the robot that the policy was trained on to the one that acts, fitted to a few demonstrations; None to
             augment.
         embodiment: name of the robot that acts.

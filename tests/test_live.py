@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from problems import problem_of
-from test_grasp import CONTACT, DT_S, FRAMES, HELD, OPTIONS, SOURCE, TARGETS, followed, source_qpos
+from test_grasp import CONTACT, DT_S, FRAMES, HELD, OPTIONS, SOURCE, TARGETS, followed, source_qpos, with_pads
 
 from cei_gym.alignment.contact.live import LiveGrasp
 from cei_gym.alignment.contact.refine import GraspRefiner
@@ -51,3 +51,13 @@ def test_a_stream_that_is_told_what_the_source_is_told_holds_as_the_source_does(
     assert np.ptp(told[carried, hand:], axis=0).max() < 0.02
     assert np.ptp(told[carried, hand:], axis=0).max() < 0.5 * np.ptp(untold[carried, hand:], axis=0).max()
     assert np.abs(told - whole.qpos)[carried].max() < 0.1
+
+
+def test_a_target_whose_pads_do_not_close_on_each_other_follows_them(demonstration: Demonstration) -> None:
+    one_sided = with_pads("IIWA-Inspire", [1, 2]).embodiment  # two fingers without their thumb
+    transfer = Transfer(load_embodiment(SOURCE), one_sided)
+    transfer.fit([demonstration])
+    live = transfer.stream(dt_s=DT_S)
+    told = np.array([live(q, a) for q, a in zip(demonstration.qpos[:6], demonstration.action, strict=False)])
+    live.reset()
+    np.testing.assert_array_equal(told, [live(q) for q in demonstration.qpos[:6]])

@@ -27,7 +27,7 @@ class LiveSource:
 
     def closing_m(self, qpos: Array, told: Array) -> float:
         """How much farther pads are told to go than they are, m; see `SourceSide.closing_m`."""
-        return self._side.closing_m(qpos, told, self._T)
+        return float(self._side.closing_m(qpos, told, self._T))
 
     def grip(self, qpos: Array, closing_m: float) -> Grip | None:
         """What it does in this frame: told to close, now and a frame ago, but at rest, it holds something.

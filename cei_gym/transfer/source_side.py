@@ -77,7 +77,7 @@ class SourceSide:
         points, normals = self.place(demonstration.qpos, self.T_target_source(demonstration))
         motion = Motion(points, normals, u0, dt_s=1.0 / demonstration.fps)
         surroundings = Surroundings(self.support_z_m(demonstration))
-        return replace(motion, grip=self._grip(demonstration, motion), surroundings=surroundings)
+        return replace(motion, grip=self._grip(demonstration), surroundings=surroundings)
 
     def among(
         self, demonstration: Demonstration, motion: Motion, obstacles_base: list[Array], tool_points: float
@@ -91,36 +91,34 @@ class SourceSide:
         around = replace(motion.surroundings, obstacles_base=obstacles_base, tool_points=tool_points)
         return replace(motion, grip=grip, surroundings=around)
 
-    def squeeze_m(self, demonstration: Demonstration, motion: Motion) -> Array:
+    def squeeze_m(self, demonstration: Demonstration) -> Array:
         """(T,) how far the pads press into what they hold, m."""
-        return np.clip(self._closing_m(demonstration, motion), 0.0, self._contact.squeeze_m)
+        return np.clip(self._closing_m(demonstration), 0.0, self._contact.squeeze_m)
 
     def grip_at(self, qpos: Array, T_target_source: Array, held: bool) -> Grip | None:
         """What it does in one frame, at (n,) joint positions; None where it has no pads that close on each other."""
         return self._grip_of(T_target_source @ self.tree.forward(qpos)[None], np.array([held]))
 
-    def closing_m(self, qpos: Array, told: Array, T_target_source: Array) -> float:
-        """How much farther pads are told to go along their normals than they are, in the mean, m, at (n,) joint positions and targets of the hand."""
-        commanded = np.append(qpos[: self.embodiment.n_arm], told[self.embodiment.n_arm :])
-        (is_, normals), (wanted, _) = (self.place(q, T_target_source) for q in (qpos, commanded))
-        return float(np.einsum("ni,ni->n", wanted - is_, normals).mean())
-
-    def _closing_m(self, demonstration: Demonstration, motion: Motion) -> Array:
-        """(T,) how far each pad is told to go beyond where it is, in the mean, m."""
-        commanded = demonstration.qpos.copy()
+    def closing_m(self, qpos: Array, action: Array, T_target_source: Array) -> Array:
+        """(...) how far each pad is told to go beyond where it is, in the mean, m, at (..., n) joint positions and targets; those of the arm do not count."""
+        commanded = qpos.copy()
         hand = slice(self.embodiment.n_arm, None)
-        commanded[:, hand] = demonstration.action[:, hand]
-        wanted, _ = self.place(commanded, self.T_target_source(demonstration))
-        return np.einsum("tni,tni->tn", wanted - motion.points_base, motion.normals_base).mean(axis=1)
+        commanded[..., hand] = action[..., hand]
+        (is_, normals), (wanted, _) = (self.place(q, T_target_source) for q in (qpos, commanded))
+        return np.einsum("...ni,...ni->...n", wanted - is_, normals).mean(axis=-1)
 
-    def _grip(self, demonstration: Demonstration, motion: Motion) -> Grip | None:
+    def _closing_m(self, demonstration: Demonstration) -> Array:
+        """(T,) the same of a demonstration."""
+        return self.closing_m(demonstration.qpos, demonstration.action, self.T_target_source(demonstration))
+
+    def _grip(self, demonstration: Demonstration) -> Grip | None:
         if self._sides is None:
             return None
         # Told to close, but at rest: something is in between.
         hand = demonstration.qpos[:, self.embodiment.n_arm :]
         moves = (np.abs(np.diff(hand, axis=0)) * demonstration.fps > AT_REST).any(axis=1)
         at_rest = ~np.append(False, moves) & ~np.append(moves, False)  # neither on its way nor about to set out
-        held = (self._closing_m(demonstration, motion) > self._contact.held_m) & at_rest
+        held = (self._closing_m(demonstration) > self._contact.held_m) & at_rest
         return self._grip_of(self.links(demonstration), held)
 
     def _grip_of(self, T_links: Array, held: Array) -> Grip | None:

@@ -186,7 +186,7 @@ class Transfer:
         scenes = [scenes[int(t)] for t in frames] if scenes else scenes
         closing = track.u
         if self._specified is None:
-            depth_m = attempt.force * self._side.squeeze_m(demonstration, followed.motion)
+            depth_m = attempt.force * self._side.squeeze_m(demonstration)
             closing = squeeze(self.problem, track.u, depth_m, attempt.asymmetry)
         # a_t = q_(t+1); the last frame holds.
         qpos, action = (self._joints(u) for u in (track.u, np.concatenate([closing[1:], closing[-1:]])))
@@ -208,7 +208,8 @@ class Transfer:
         return attempts(self._following.others(mode), self.options.representation, most)
 
     def stream(self, dt_s: float | None = None, T_target_source: Array | None = None) -> LiveTransfer:
-        """Retarget live, one configuration of the source at a time, from where `fit` starts.
+        """Retarget live, one configuration of the source at a time, from where `fit` starts. Contact is carried over if something was held in what
+        `fit` looked at; else pads are followed, no more.
 
         Args:
             dt_s: time between configurations; with it, joints keep their velocity limits, and what is held is known.
@@ -224,11 +225,11 @@ class Transfer:
         return LiveSource(self._side, T, self.contact.held_m, dt_s), stream
 
     def _live_grasp(self, dt_s: float | None) -> LiveGrasp | None:
-        """Carries contact over; None where nothing that was fitted shows how something is held."""
-        if self._holding is None or self.contact.opposition_weight <= 0:
+        """Carries contact over; None where nothing that was fitted shows how something is held, or the target has nothing that closes."""
+        refiner = GraspRefiner(self.problem, self.solver_options, self.contact)
+        if self._holding is None or not refiner.carries_over:
             return None
         followed, _ = self._following.follow(self._holding, 0)
-        refiner = GraspRefiner(self.problem, self.solver_options, self.contact)
         return LiveGrasp(refiner, (followed.motion, followed.track), dt_s)
 
     def place_source(self, qpos: Array, T_target_source: Array) -> tuple[Array, Array]:

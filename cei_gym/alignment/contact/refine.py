@@ -76,7 +76,12 @@ class GraspRefiner:
 
     def _grip(self, motion: Motion) -> Grip | None:
         """What there is to carry over; None without weight, or where source or target have no sides that close."""
-        return motion.grip if self._sides is not None and self._contact.opposition_weight > 0 else None
+        return motion.grip if self.carries_over else None
+
+    @property
+    def carries_over(self) -> bool:
+        """Whether the target has pads that close on each other, and contact any weight."""
+        return self._sides is not None and self._contact.opposition_weight > 0
 
     @cached_property
     def arrays(self):

@@ -152,7 +152,7 @@ def _miss(grasp, axis, contacts, points):
 
 @njit(cache=True, nogil=True)
 def take_hold(target, grasp, away, pads, grip, followed, scratch, course):
-    """How palm and source are to each other where the source takes hold, from `followed` (m,), to where pads are followed then."""
+    """Relate palm and source as they are where the source takes hold and the target is followed to `followed` (m,), objects left out; to `course`."""
     u, nowhere = followed.copy(), np.zeros((0, 3))
     pose = scratch.frame.pose
     place_joints(target, u, pose)
