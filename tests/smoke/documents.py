@@ -50,6 +50,7 @@ ELSEWHERE = {
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-benchmark real( --stage=replay --films)?": "hours; tests/test_real_benchmark.py runs it smaller",
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-benchmark (anchors|modes)( --stage=replay)?": "hours; tests/test_anchors_and_modes.py runs them smaller",
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-benchmark replay --tasks=.*": "an hour; tests/test_benchmark_command.py runs it smaller",
+    r"cei-record .* --seed=100 .*": "for what follows it; README.md records others",
     r"cei-(convert|replay) .*--dataset\.repo_id=(lab|me)/lift .*": "needs a file of robosuite's; tests/test_robosuite_tasks.py makes one",
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-convert .*--target=XArm7-ShadowHand .*": "needs ../shared/robots; tests/test_target_pose_auto.py runs another",
     r"cei-calibrate .*--by=outlines .*": "needs ../shared; tests/test_outlines.py runs it",
