@@ -14,6 +14,7 @@ from conversions import record_cubes, records
 
 from cei_converters import convert, replay
 from cei_converters.conversion.refine import RefineOptions
+from cei_converters.conversion.starting import choose_start
 from cei_converters.conversion.verdict import Verdict, sentence, summarise
 from cei_converters.conversion.verify import Verifier, VerifyOptions
 from cei_converters.dataset.corrections import Corrected
@@ -494,7 +495,9 @@ def test_a_refined_dataset_says_what_was_found(
     monkeypatch.setattr("cei_converters.conversion.converter.open_stage", lambda *_: Shaken(accepts))
     monkeypatch.setattr(Transfer, "fit", lambda self, _: self.start_from(transfer.finalists))
     root = tmp_path / "target"
-    assert converted(folder, root, "--refine", "--refine.perturbed=2", "--refine.generations=0") == 0
+    assert (
+        converted(folder, root, "--refine", "--refine.perturbed=2", "--refine.starts=1", "--refine.generations=0") == 0
+    )
     assert "plain 2/2, verified 2/2 (1 retried), dropped 0; of replays held 67% plain, 100% refined" in (
         capsys.readouterr().out
     )
@@ -541,7 +544,7 @@ def test_episodes_that_fail_alike_are_corrected_alike(
     )
     monkeypatch.setattr(Transfer, "fit", lambda self, _: self.start_from(transfer.finalists))
     root = tmp_path / "target"
-    assert converted(folder, root, "--refine", "--refine.perturbed=2") == 0
+    assert converted(folder, root, "--refine", "--refine.perturbed=2", "--refine.starts=1") == 0
     printed = capsys.readouterr().out
     assert "All episodes are corrected alike where that holds no worse: " in printed
     assert "plain 0/2, verified 2/2 (2 retried)" in printed
@@ -558,6 +561,7 @@ def test_episodes_that_fail_alike_are_corrected_alike(
         (["--refine", "--refine.robust=1.5"], "refine.robust=1.5 must be over 0, and at most 1."),
         (["--refine", "--refine.perturbed=0"], "--refine.perturbed=0 should be at least 1."),
         (["--refine", "--refine.population=1"], "--refine.population=1 should be at least 2."),
+        (["--refine", "--refine.starts=0"], "--refine.starts=0 should be at least 1."),
     ],
 )
 def test_bad_options_of_refinement(
@@ -565,3 +569,58 @@ def test_bad_options_of_refinement(
 ) -> None:
     assert converted(folder, tmp_path / "target", *options) == 2
     assert says in complaint()
+
+
+def test_all_follow_from_the_start_that_holds(
+    folder: Path, tmp_path: Path, transfer: Transfer, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """Only what follows from the third start holds."""
+    recorded = [DatasetReader("me/source", folder / "source").read(i) for i in range(2)]
+    assert len(transfer.finalists) > 2
+    wanted = [transfer(each, attempt=Attempt(basin=2), clouds=False)[0].qpos for each in recorded]
+
+    def accepts(shown: Demonstration, _: Perturbation | None) -> bool:
+        qpos = wanted[shown.index]
+        return shown.qpos.shape == qpos.shape and bool(np.abs(shown.qpos - qpos).max() < 1e-4)
+
+    monkeypatch.setattr("cei_converters.conversion.converter.open_stage", lambda *_: Shaken(accepts))
+    monkeypatch.setattr(Transfer, "fit", lambda self, _: self.start_from(transfer.finalists))
+    root = tmp_path / "target"
+    assert converted(folder, root, "--refine", "--refine.perturbed=2", "--shard_episodes=1") == 0
+    said = capsys.readouterr().out
+    tried = len(transfer.finalists)
+    assert f"All episodes follow from start 3 of {tried}, of which 100% of some replays hold, and 0% of the one" in said
+    assert "plain 2/2, verified 2/2 (0 retried)" in said
+    for episode, qpos in zip(records(root), wanted, strict=True):
+        assert episode["verified"]["how"] == "plain"
+        stored = DatasetReader("me/target", root).read(episode["source_episode"], clouds=False)
+        np.testing.assert_allclose(stored.qpos, qpos, atol=1e-6)
+    metadata = json.loads((root / "meta/cei.json").read_text())["provenance"]["options"]
+    assert metadata["refine"]["start"] == {"start": 2, "held": 1.0, "best_held": 0.0, "tried": tried}
+    np.testing.assert_allclose(metadata["basins"][0]["u"], transfer.finalists[2].u)
+    assert "replays from it hold in 100%, from that in 0%" in (root / "README.md").read_text()
+
+    assert converted(folder, tmp_path / "alone", "--refine", "--refine.perturbed=2", "--refine.starts=1", "--refine.generations=0", "--refine.replays=4") == 0  # fmt: skip
+    assert "All episodes follow from" not in capsys.readouterr().out
+
+
+def test_another_start_has_to_be_confirmed(transfer: Transfer, folder: Path) -> None:
+    """All starts but the first hold in the replays that choose, and none in those that confirm; or all hold, and none is asked."""
+    recorded = [DatasetReader("me/source", folder / "source").read(i) for i in range(2)]
+    first = [transfer(each, clouds=False)[0].qpos for each in recorded]
+    chosen_by = [Perturbation.draw(each.index, 1000, Shaken.n_arm) for each in recorded]
+
+    def lucky(shown: Demonstration, perturbation: Perturbation | None) -> bool:
+        qpos = first[shown.index]
+        if shown.qpos.shape == qpos.shape and np.abs(shown.qpos - qpos).max() < 1e-4:
+            return False
+        return perturbation is None or any((perturbation.joints_rad == each.joints_rad).all() for each in chosen_by)
+
+    done: list[int] = []
+    refine = RefineOptions(enabled=True, starts=3)
+    assert choose_start(transfer, Shaken(lucky), recorded, refine, done=done.append) is None
+    assert sum(done) == 2  # the second holds in all that choose
+    stage = Shaken(lambda *_: True)
+    assert choose_start(transfer, stage, recorded, refine) is None
+    assert len(stage.played) == 4
+    assert choose_start(transfer, Shaken(lambda *_: False), recorded, refine) is None

@@ -17,7 +17,6 @@ from cei_converters.dataset.license import copy_license_files
 from cei_converters.dataset.metadata import PICTURE_PATH, START, Environment, Metadata, Provenance, plain
 from cei_converters.dataset.starts import middle
 from cei_converters.dataset.writer import publish_dataset
-from cei_gym.alignment.contact.correction import Correction
 from cei_gym.transfer import Transfer
 
 
@@ -51,23 +50,23 @@ def assemble(place: StagingDirectory, plan: Plan, converter: Converter, summary:
         environment=_with_start(converter.environment, outcomes(place, plan)),
         clouds=plain(plan.config.clouds),
         total_episodes=len(summary.entries),
-        provenance=_with_choices(plan.provenance, converter.transfer, summary, plan.correction),
+        provenance=_with_choices(plan, converter.transfer, summary),
     )
     publish_dataset(written, place.root, str(plan.config.new_repo_id), metadata)
 
 
-def _with_choices(
-    provenance: Provenance, transfer: Transfer, summary: Summary, correction: Correction | None
-) -> Provenance:
+def _with_choices(plan: Plan, transfer: Transfer, summary: Summary) -> Provenance:
     """Provenance with what was decided on the way: where trajectories start, on which pads, which episodes are dropped."""
     pads = {e.name: plain(e.end_effector.pads) for e in (transfer.source, transfer.target) if e.end_effector}
+    provenance = plan.provenance
     options = provenance.options | {"basins": plain(transfer.basins)}
     if summary.verified is not None and "verify" in options:
         options["verify"] = options["verify"] | {"dropped": summary.verified["dropped"]}
     if summary.strays is not None:
         options["strays"] = summary.strays
-    if correction is not None:
-        options["refine"] = options["refine"] | {"common": plain(correction)}
+    for name, found in (("common", plan.correction), ("start", plan.chosen)):
+        if found is not None:
+            options["refine"] = options["refine"] | {name: plain(found)}
     if summary.evidence is not None and summary.evidence["dropped"]:
         options["evidence"] = options["evidence"] | {"dropped": summary.evidence["dropped"]}
     if summary.judged is not None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from cei_converters.conversion.refine import RefineOptions
 from cei_converters.conversion.search import Sampled
+from cei_converters.conversion.starting import BETTER
 from cei_converters.conversion.trials import Trials
 from cei_gym.alignment.contact.correction import Correction
 from cei_gym.demonstration import Demonstration
@@ -15,8 +16,6 @@ from cei_gym.transfer import Attempt, Transfer
 if TYPE_CHECKING:
     from cei_converters.simulation.stage import Stage
     from cei_gym.transfer.aligned import Aligned
-
-_BETTER = 0.1  # share of replays: less may be luck
 
 
 def common_correction(
@@ -59,9 +58,9 @@ def common_correction(
         if max(found.values()) == 1:
             break
     best = max(found, key=lambda each: found[each])
-    if found[best] < plain + _BETTER:
+    if found[best] < plain + BETTER:
         return None
-    return best if judged.confirmed(best) >= judged.confirmed(None) + _BETTER else None
+    return best if judged.confirmed(best) >= judged.confirmed(None) + BETTER else None
 
 
 class _Judged:

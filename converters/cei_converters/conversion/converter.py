@@ -17,6 +17,7 @@ from cei_converters.conversion.evidence import Witness
 from cei_converters.conversion.ordered_map import in_background, ordered_map
 from cei_converters.conversion.painting import Painting
 from cei_converters.conversion.placing import PLACE_EPISODES, sample
+from cei_converters.conversion.starting import Chosen
 from cei_converters.conversion.steps import Judge, OnRecorded, OnRetargeted, Read, Retarget, make_steps
 from cei_converters.conversion.verify import Verifier, open_stage
 from cei_converters.dataset import schema
@@ -181,11 +182,14 @@ class Converter:
                 print(told)
             self.transfer.fit([each.demonstration for each in read if each.inside] or shown[:1])
 
-    def refine(self, begin: Callable[[int], None], done: Callable[[int], None]) -> Correction | None:
-        """Search a correction for all episodes, once fitted, by some of them; None without `--refine`, or where none is better.
+    def refine(
+        self, begin: Callable[[int], None], done: Callable[[int], None]
+    ) -> tuple[Chosen | None, Correction | None]:
+        """Search, once fitted, from which start all episodes hold better, and then a correction for all, by some of them; None without `--refine`,
+        or where none is better.
 
         Args:
-            begin: called with how many generations there may be.
+            begin: called with how many starts and generations there may be.
             done: called with how many more are done.
 
         Raises:
@@ -193,13 +197,17 @@ class Converter:
         """
         options, verifier = self._config.refine, self._retarget.verifier
         if not options.enabled or verifier is None:
-            return None
-        begin(options.generations)
+            return None, None
+        begin(options.starts + options.generations)
         with one_thread():
             read = [self._read(i, quickly=True) for i in spread(len(self.selected), FIT_EPISODES)]
             demonstrations = [each.demonstration for each in read if each.inside]
+            chosen = verifier.choose_start(demonstrations, done)
+            if chosen is not None:
+                finalists = list(self.transfer.finalists)
+                self.transfer.start_from([finalists.pop(chosen.start), *finalists])
             verifier.common = verifier.search_common(demonstrations, done)
-        return verifier.common
+        return chosen, verifier.common
 
     def start_from(self, finalists: "Sequence[Basin]", correction: Correction | None = None) -> None:
         """Take what `fit` and `refine` found elsewhere."""

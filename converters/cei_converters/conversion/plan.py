@@ -10,6 +10,7 @@ import draccus
 from draccus.utils import DraccusException
 
 from cei_converters.conversion.config import ConvertConfig
+from cei_converters.conversion.starting import Chosen
 from cei_converters.conversion.survey import LOWEST
 from cei_converters.dataset.metadata import Provenance, plain
 from cei_gym.alignment.contact.correction import Correction
@@ -28,7 +29,17 @@ WHERE = ("package_path",)
 PLACED = "placed"
 """What provenance has of the place that `--target_pose=auto` found."""
 
-DECIDED = ("basins", "gate", "verify.dropped", "evidence.dropped", "refine.common", "strays", "table", PLACED)
+DECIDED = (
+    "basins",
+    "gate",
+    "verify.dropped",
+    "evidence.dropped",
+    "refine.common",
+    "refine.start",
+    "strays",
+    "table",
+    PLACED,
+)
 """What provenance has among the options of a finished conversion that nobody gave; see `assemble`."""
 
 
@@ -46,9 +57,10 @@ class Plan:
     Attributes:
         config: its options, paths absolute.
         provenance: of the run that began it.
-        finalists: what `Transfer.fit` found.
+        finalists: what `Transfer.fit` found, the one first that all episodes follow from.
         frames: of each episode to convert, as recorded.
         correction: that all episodes have, if one was found (`--refine`).
+        chosen: why another start than the one that follows best is first (`--refine`); None if it is that one.
     """
 
     config: ConvertConfig
@@ -56,6 +68,7 @@ class Plan:
     finalists: list[Basin] = field(default_factory=list[Basin])
     frames: list[int] = field(default_factory=list[int])
     correction: Correction | None = None
+    chosen: Chosen | None = None
 
     @property
     def shards(self) -> list[range]:

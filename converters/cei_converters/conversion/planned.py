@@ -40,14 +40,16 @@ def planned(
             print(f"Shards stay as they were begun: --shard_episodes={begun.config.shard_episodes}.")
         return replace(begun, config=replace(absolutely, shard_episodes=begun.config.shard_episodes))
     converter.fit()
-    correction = converter.refine(
+    chosen, correction = converter.refine(
         lambda total: progress.reset(task, total=total, description="searching how to take hold"),
         lambda done: progress.advance(task, done),
     )
+    if chosen is not None:
+        print(f"All episodes follow from {chosen}.")
     if correction is not None:
         print(f"All episodes are corrected alike where that holds no worse: {correction}.")
     provenance = provenance_of(config, converter, content())
     frames = [converter.reader.frames(index) for index in converter.selected]
-    plan = Plan(absolutely, provenance, converter.transfer.finalists, frames, correction)
+    plan = Plan(absolutely, provenance, converter.transfer.finalists, frames, correction, chosen)
     plan.save(place.plan)
     return plan

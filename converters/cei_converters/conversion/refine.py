@@ -16,6 +16,7 @@ class RefineOptions:
         robust: share of replays that is enough.
         replays: most that are spent on an episode; what holds best by then is kept.
         population: corrections of each generation.
+        starts: most that are tried for all episodes alike, by a few of them, before a correction is searched; 1 for none but what follows best.
         generations: most that are spent on a correction for all episodes alike, by a few of them, before each is looked at; 0 for none.
         seed: of what is drawn.
     """
@@ -25,11 +26,19 @@ class RefineOptions:
     robust: float = 0.8
     replays: int = 120
     population: int = 6
+    starts: int = 16
     generations: int = 6
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("perturbed", 1), ("replays", 1), ("population", 2), ("generations", 0), ("seed", 0)):
+        for name, least in (
+            ("perturbed", 1),
+            ("replays", 1),
+            ("population", 2),
+            ("starts", 1),
+            ("generations", 0),
+            ("seed", 0),
+        ):
             check_range(f"--refine.{name}", getattr(self, name), least)
         if not 0 < self.robust <= 1:
             raise CEIError(f"refine.robust={self.robust} must be over 0, and at most 1.")

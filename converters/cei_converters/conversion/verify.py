@@ -9,6 +9,7 @@ import numpy as np
 from cei_converters.conversion.common import common_correction
 from cei_converters.conversion.refine import RefineOptions
 from cei_converters.conversion.search import InTurn, Listed, Sampled, Search
+from cei_converters.conversion.starting import Chosen, choose_start
 from cei_converters.conversion.trials import Held, Trials
 from cei_converters.conversion.verdict import Verdict
 from cei_converters.dataset.corrections import Corrected
@@ -126,6 +127,11 @@ class Verifier:
         if best.attempt.correction is not None:
             verdict = replace(verdict, corrected=_corrected(best.attempt.correction, aligned, plain.moved))
         return moved, report, verdict
+
+    def choose_start(self, demonstrations: "Sequence[Demonstration]", done: Callable[[int], None]) -> Chosen | None:
+        """The start of all episodes, by these; see `choose_start`."""
+        assert self._refine is not None
+        return choose_start(self._transfer, self._stage, demonstrations, self._refine, self._allow_unreachable, done)
 
     def search_common(
         self, demonstrations: "Sequence[Demonstration]", done: Callable[[int], None]

@@ -113,6 +113,13 @@ def verified(metadata: Metadata, records: Records) -> str:
         f"plain transfer succeeds in {plain} of {n}. Where it fails{' or is fragile' if refined else ''}, others were tried: "
         f"{_REFINED if refined else _LISTED}. With these, {kept.total() - kept['fails']} of {n} succeed. "
     )
+    for chosen in (
+        p.options["refine"]["start"] for p in metadata.provenances if "start" in p.options.get("refine", {})
+    ):
+        text += (
+            f"All follow from another start than the one that follows best: of {chosen['tried']} tried on some episodes, replays from it hold in "
+            f"{chosen['held']:.0%}, from that in {chosen['best_held']:.0%}; what is called plain here begins there. "
+        )
     if refined:
         before, after = (f"{share / refined:.0%}" for share in held.values())
         text += (

@@ -108,6 +108,13 @@ def _assumed(provenance: Provenance, metadata: Metadata, reader: DatasetReader) 
             said.append(f"In pictures of {shown} the target is painted over {source.embodiment}, by geometry.")
         else:
             said.append(f"Pictures of {shown} still show {source.embodiment}, unless a step has painted others.")
+    chosen = mapping(mapping(provenance.options.get("refine")).get("start"))
+    if chosen:
+        held, best, tried = (one_line(chosen.get(name), 20) for name in ("held", "best_held", "tried"))
+        said.append(
+            f"Episodes follow from the start, of {tried}, that holds most in replays of some (--refine): a share of {held}, and {best} from the one that "
+            "follows best. What is called plain begins there."
+        )
     evidence = mapping(provenance.options.get("evidence"))
     if evidence:
         density, friction = (one_line(evidence.get(name), 20) for name in ("density_kg_m3", "friction"))

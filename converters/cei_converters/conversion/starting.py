@@ -1,0 +1,105 @@
+"""From which start all episodes of a dataset follow, by rollouts: starts that follow as well may hold nothing, or everything."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cei_converters.conversion.trials import Trials
+from cei_gym.demonstration import Demonstration
+from cei_gym.transfer import Attempt, Transfer
+
+if TYPE_CHECKING:
+    from cei_converters.conversion.refine import RefineOptions
+    from cei_converters.simulation.stage import Stage
+
+BETTER = 0.1
+"""A share of replays by which what is chosen holds better; less may be luck."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A start that holds better than the one that follows best.
+
+    Attributes:
+        start: which of the finalists of `Transfer.fit`, best first.
+        held: share of the replays that chose it, the plain and the perturbed of some episodes, that succeed.
+        best_held: the same of the one that follows best.
+        tried: how many starts there were to choose from.
+    """
+
+    start: int
+    held: float
+    best_held: float
+    tried: int
+
+    def __str__(self) -> str:
+        return (
+            f"start {self.start + 1} of {self.tried}, of which {self.held:.0%} of some replays hold, and {self.best_held:.0%} "
+            "of the one that follows best"
+        )
+
+
+def choose_start(
+    transfer: Transfer,
+    stage: "Stage",
+    demonstrations: Sequence[Demonstration],
+    options: "RefineOptions",
+    allow_unreachable: bool = False,
+    done: Callable[[int], None] = lambda _: None,
+) -> Chosen | None:
+    """Try starts on some episodes, each as it is and perturbed once; those that cannot do better any more are given up.
+
+    Args:
+        transfer: fitted.
+        stage: the target's environment.
+        demonstrations: of the source, spread over the dataset.
+        options: of refinement.
+        allow_unreachable: whether what is out of reach somewhere is replayed.
+        done: called with how many starts more are done, of `options.starts`.
+
+    Returns:
+        None where episodes hold well enough from the start that follows best, or no other holds clearly better. Of several modes each has its own
+        start, and none is chosen.
+    """
+    tried = min(options.starts, len(transfer.finalists))
+    if tried < 2 or len(transfer.basins) != 1 or not demonstrations:
+        return None
+    trials = Trials(stage, 1, allow_unreachable)
+    by_start = [_held(transfer, trials, demonstrations, 0, 0.0)]
+    done(1)
+    if by_start[0] >= options.robust:
+        return None
+    for start in range(1, tried):
+        by_start.append(_held(transfer, trials, demonstrations, start, max(by_start)))
+        done(1)
+        if by_start[-1] == 1:
+            break
+    chosen = int(np.argmax(by_start))
+    if by_start[chosen] < by_start[0] + BETTER:
+        return None
+    confirmed = [_confirmed(transfer, trials, demonstrations, start) for start in (chosen, 0)]
+    return Chosen(chosen, by_start[chosen], by_start[0], tried) if confirmed[0] >= confirmed[1] + BETTER else None
+
+
+def _held(
+    transfer: Transfer, trials: Trials, demonstrations: Sequence[Demonstration], start: int, least: float
+) -> float:
+    """Share of replays that hold from a start, in the mean over episodes; 0 as soon as it cannot be over `least`."""
+    held, n = 0.0, len(demonstrations)
+    for i, demonstration in enumerate(demonstrations):
+        held += trials.judge(*_moved(transfer, demonstration, start)).share
+        if held + n - 1 - i <= least * n:
+            return 0.0 if i < n - 1 else held / n
+    return held / n
+
+
+def _confirmed(transfer: Transfer, trials: Trials, demonstrations: Sequence[Demonstration], start: int) -> float:
+    """The same of others, that nothing was chosen by."""
+    return float(np.mean([trials.confirm(_moved(transfer, each, start)[0]) for each in demonstrations]))
+
+
+def _moved(transfer: Transfer, demonstration: Demonstration, start: int):
+    aligned = transfer.aligned(demonstration, attempt=Attempt(basin=start or None))
+    return transfer.made(aligned, clouds=False)
