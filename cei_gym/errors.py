@@ -1,4 +1,4 @@
-"""The one exception for bad input: its text is the whole message a user sees."""
+"""The exception for bad input: its text is the whole message a user sees."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -7,6 +7,10 @@ from textwrap import shorten
 
 class CEIError(ValueError):
     """Bad input. The message is one line: what is wrong, where, and what would be right."""
+
+
+class OutOfReachError(CEIError):
+    """A robot cannot get where it should. With something else there, it may."""
 
 
 def unknown(kind: str, name: object, valid: Iterable[str]) -> CEIError:

@@ -1,7 +1,7 @@
 """robosuite's own tasks for any robot: held against robosuite, and files that robosuite made convert into the task they came from."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import robosuite
 import robosuite_files
+from conversions import records
 from rollouts import make
 from scipy.spatial.transform import Rotation
 
-from cei_converters import convert, replay
+from cei_converters import convert, record, replay
 from cei_converters.simulation.environment import open_environment
 from cei_converters.simulation.rollout import record_episode
 from cei_converters.sources.formats import open_source
@@ -333,3 +334,12 @@ def test_what_robosuite_recorded_replays_in_its_task_with_another_robot(
         == 0
     )
     assert json.loads((tmp_path / "r.json").read_text())["successes"] == 2
+
+
+def test_an_episode_that_no_expert_can_reach_costs_no_other(tmp_path: Path, complaint: Callable[[], str]) -> None:
+    """Seed 5 has the nut where the hand cannot be turned as its handle lies; seed 6 does not."""
+    root = tmp_path / "nuts"
+    options = ["--env=CEI-NutAssemblySquare-Panda-PandaGripper", "--repo_id=me/nuts", f"--root={root}"]
+    assert record.main([*options, "--episodes=2", "--seed=5"]) == 1
+    assert "the expert failed 1 of 2 times; left out: seed 5 (Panda-PandaGripper: the expert's waypoint " in complaint()
+    assert [each["seed"] for each in records(root)] == [6]

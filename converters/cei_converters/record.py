@@ -14,7 +14,7 @@ from cei_converters.cli import run
 from cei_converters.cli.options import check_overwrite, check_range
 from cei_converters.simulation.rollout import as_demonstration, record_episode, roll_out
 from cei_gym.demonstration import Demonstration
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, OutOfReachError
 
 EXAMPLE = """example:
   cei-record --env=CEI-PickCube-Panda-PandaGripper --episodes=20 --seed=1000 \\
@@ -114,8 +114,10 @@ def record(config: RecordConfig) -> dict[str, Any]:
         task = progress.add_task("recording", total=config.episodes)
         for seed, demonstration, info, how in episodes:
             success = bool(info["is_success"])
-            results.append({"seed": seed, "success": success, "failure": info["failure"], "frames": len(demonstration)})
-            if success:
+            results.append(
+                {"seed": seed, "success": success, "failure": info["failure"], "frames": len(demonstration or ())}
+            )
+            if success and demonstration is not None:
                 times = {STEP_TIMES: info[STEP_TIMES]} if STEP_TIMES in info else {}
                 writer.add(demonstration, {"seed": seed, "success": True, **how, **times})
             progress.advance(task)
@@ -149,14 +151,18 @@ def record(config: RecordConfig) -> dict[str, Any]:
     return result
 
 
-type Episode = tuple[int, Demonstration, dict[str, Any], dict[str, Any]]
-"""Seed, demonstration, its last `info`, and what else the metadata shall say of it."""
+type Episode = tuple[int, Demonstration | None, dict[str, Any], dict[str, Any]]
+"""Seed, demonstration (None if there was no way to begin one), its last `info`, and what else the metadata shall say of it."""
 
 
 def scripted(env: gym.Env, seeds: Iterable[int], variation: float = 1.0) -> Iterator[Episode]:
     """The expert's episodes, one a seed, whether or not they succeed; they differ as much as `variation` says."""
     for index, seed in enumerate(seeds):
-        demonstration, info, varied = record_episode(env, seed, index, variation)
+        try:
+            demonstration, info, varied = record_episode(env, seed, index, variation)
+        except OutOfReachError as error:  # where this seed has put things; others may be in reach
+            yield seed, None, {"is_success": False, "failure": str(error).rstrip(".")}, {}
+            continue
         yield seed, demonstration, info, {"variation": varied}
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from cei_envs.experts.grip import Grip, site_grip
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
-from cei_gym.errors import CEIError
+from cei_gym.errors import OutOfReachError
 
 _ITERATIONS = 8
 TOLERANCE_M = 0.004
@@ -65,7 +65,7 @@ def plan(
         (T, n) absolute joint targets.
 
     Raises:
-        CEIError: a waypoint is out of reach.
+        OutOfReachError: a waypoint is.
     """
     moved = grip or site_grip(embodiment)
     position, rotation = grip_pose(embodiment, start, moved)
@@ -132,7 +132,7 @@ def _follow(embodiment: Embodiment, start, positions, rotations, grip: Grip) -> 
     for position, rotation in zip(positions, rotations, strict=True):
         found, miss_m, _ = solver.solve(qpos[-1], position, rotation)
         if miss_m > TOLERANCE_M:
-            raise CEIError(
+            raise OutOfReachError(
                 f"{embodiment.name}: the expert's waypoint {position.round(3)} m is {miss_m * 1e3:.0f} mm out of reach."
             )
         qpos.append(found)
