@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 BETTER = 0.1
 """A share of replays by which what is chosen holds better; less may be luck."""
 
+_HOPELESS = 3  # episodes that fail in a row from the first: of starts that are worth having one in a hundred does so
+
 
 @dataclass(frozen=True)
 class Chosen:
@@ -74,7 +76,7 @@ def choose_start(
     for start in range(1, tried):
         by_start.append(_held(transfer, trials, demonstrations, start, max(by_start)))
         done(1)
-        if by_start[-1] == 1:
+        if by_start[-1] >= options.robust:
             break
     chosen = int(np.argmax(by_start))
     if by_start[chosen] < by_start[0] + BETTER:
@@ -86,12 +88,12 @@ def choose_start(
 def _held(
     transfer: Transfer, trials: Trials, demonstrations: Sequence[Demonstration], start: int, least: float
 ) -> float:
-    """Share of replays that hold from a start, in the mean over episodes; 0 as soon as it cannot be over `least`."""
+    """Share of replays that hold from a start, in the mean over episodes; 0 as soon as it cannot be over `least`, or seems hopeless."""
     held, n = 0.0, len(demonstrations)
     for i, demonstration in enumerate(demonstrations):
         held += trials.judge(*_moved(transfer, demonstration, start)).share
-        if held + n - 1 - i <= least * n:
-            return 0.0 if i < n - 1 else held / n
+        if i < n - 1 and (held + n - 1 - i <= least * n or (not held and i + 1 == _HOPELESS)):
+            return 0.0
     return held / n
 
 
