@@ -508,9 +508,9 @@ def test_experts_differ_by_seed_and_repeat_by_seed(envs: dict[str, CEIEnv], epis
 def test_a_target_without_an_expert_says_which_has_one(envs: dict[str, CEIEnv]) -> None:
     env = envs["IIWA-Inspire"]
     with pytest.raises(
-        CEIError, match=r"no scripted expert for CEI-PickCube-IIWA-Inspire.*CEI-PickCube-<Arm>-PandaGripper"
+        CEIError, match=r"no scripted expert for CEI-StackCube-IIWA-Inspire.*CEI-StackCube-<Arm>-PandaGripper"
     ):
-        make_expert("PickCube", env.embodiment, env.scene.T_world_base, 0)
+        make_expert("StackCube", env.embodiment, env.scene.T_world_base, 0)
 
 
 def test_the_expert_succeeds_again_from_its_restored_start(envs: dict[str, CEIEnv], episode: Episode) -> None:

@@ -324,7 +324,7 @@ def test_a_dry_run_writes_nothing(job: Path, tmp_path: Path, capsys: pytest.Capt
             ["--env=CEI-PickCube-IIWA-Inspir", "--repo_id=me/x"],
             "unknown end-effector 'Inspir'. Did you mean 'Inspire'?",
         ),
-        (["--env=CEI-PickCube-IIWA-Inspire", "--repo_id=me/x"], "no scripted expert"),
+        (["--env=CEI-StackCube-IIWA-Inspire", "--repo_id=me/x"], "no scripted expert"),
         (["--env=CEI-PickCube-Panda-PandaGripper", "--repo_id=me/x", "--episodes=0"], "at least 1"),
     ],
 )

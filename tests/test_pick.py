@@ -166,6 +166,16 @@ def test_a_gripper_demonstrates_it(thing: str) -> None:
     assert sum(info["is_success"] for info in outcomes) >= 4, outcomes
 
 
+@pytest.mark.parametrize("hand", ["IIWA-Inspire", "Panda-RobotiqThreeFinger"])
+@pytest.mark.parametrize("task", ["PickCube", "Pick-Can"])
+def test_a_hand_demonstrates_it(task: str, hand: str) -> None:
+    """By its own pads, not by what was transferred to it."""
+    env = make(task, hand, clouds=False)
+    outcomes = [record_episode(env, seed, 0)[1] for seed in range(3)]
+    env.close()
+    assert all(info["is_success"] for info in outcomes), outcomes
+
+
 @needs_robots
 @pytest.mark.parametrize("thing", ["Sphere", "Plate", "Nut"])
 def test_the_ag95_demonstrates_it(thing: str, third_party_robots: None) -> None:

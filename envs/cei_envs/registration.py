@@ -35,11 +35,13 @@ class Task:
 
 _GRIPPER = "PandaGripper"
 _GRIPPERS = (_GRIPPER, "AG95")
-_THINGS = ("Sphere", "Cylinder", "LyingCylinder", "ThinBox", "Plate", "Mug", "Hammer", "Can", "Lemon", "Nut")
+_HANDS = ("Inspire", "RobotiqThreeFinger")  # whose first pad opposes the others on a straight way to closed
+_BY_HAND = ("Sphere", "Cylinder", "LyingCylinder", "Mug", "Can")  # what they pick up by the same script as grippers
+_THINGS = (*_BY_HAND, "Lemon", "ThinBox", "Plate", "Hammer", "Nut")
 
 
-def _of_grippers(expert: str) -> dict[str, str]:
-    return dict.fromkeys(_GRIPPERS, f"cei_envs.experts.{expert}")
+def _of_grippers(expert: str, others: tuple[str, ...] = ()) -> dict[str, str]:
+    return dict.fromkeys((*_GRIPPERS, *others), f"cei_envs.experts.{expert}")
 
 
 OWN = (
@@ -51,7 +53,14 @@ OWN = (
             "AG95": "cei_envs.experts.open_drawer:OpenDrawerPadExpert",
         },
     ),
-    Task("PickCube", "cei_envs.tasks.pick_cube:PickCubeEnv", {_GRIPPER: "cei_envs.experts.pick_cube:PickCubeExpert"}),
+    Task(
+        "PickCube",
+        "cei_envs.tasks.pick_cube:PickCubeEnv",
+        {
+            _GRIPPER: "cei_envs.experts.pick_cube:PickCubeExpert",
+            **dict.fromkeys(_HANDS, "cei_envs.experts.pick_cube:PickCubePadExpert"),
+        },
+    ),
     Task(
         "StackCube", "cei_envs.tasks.stack_cube:StackCubeEnv", {_GRIPPER: "cei_envs.experts.stack_cube:StackCubeExpert"}
     ),
@@ -70,7 +79,11 @@ OWN = (
         {"XHand": "cei_envs.experts.insert_flower:InsertFlowerExpert"},
     ),
     *(
-        Task(f"Pick-{thing}", f"cei_envs.tasks.pick:Pick{thing}Env", _of_grippers("pick:PickExpert"))
+        Task(
+            f"Pick-{thing}",
+            f"cei_envs.tasks.pick:Pick{thing}Env",
+            _of_grippers("pick:PickExpert", _HANDS if thing in _BY_HAND else ()),
+        )
         for thing in _THINGS
     ),
     Task("Lift", "cei_envs.tasks.lift:LiftEnv", {_GRIPPER: "cei_envs.experts.pick_cube:PickCubeExpert"}),

@@ -109,6 +109,13 @@ class PadExpert(ReachesDown):
         assert self.grip is not None
         return self.grip.tip_m + _CLEAR_M
 
+    @property
+    def home_heading_rad(self) -> float:
+        """The heading in the world along which its fingers would close at home."""
+        _, home_base = grip_pose(self.embodiment, self.embodiment.home, self.grip)
+        x, y, _ = self._T_base_world[:3, :3].T @ home_base.as_matrix()[:, 1]
+        return float(np.arctan2(y, x))
+
     def facing(self, approach_world: Array, closing_world: Array) -> Rotation:
         """Orientation of the grip in the world.
 
@@ -124,9 +131,7 @@ class PadExpert(ReachesDown):
     def reaching_down(self, closing_yaw_rad: float) -> Rotation:
         """See `ReachesDown`; of a gripper's two ways the same one for like headings, so that demonstrations of a task are of one kind."""
         v = self.variation
-        _, home_base = grip_pose(self.embodiment, self.embodiment.home, self.grip)
-        x, y, _ = self._T_base_world[:3, :3].T @ home_base.as_matrix()[:, 1]
-        turn = closing_yaw_rad - np.arctan2(y, x)
+        turn = closing_yaw_rad - self.home_heading_rad
         # From home by less than 150 degrees one way and 30 the other: no task asks for a heading at these ends.
         yaw = closing_yaw_rad - np.pi * np.floor((turn + np.pi / 6) / np.pi)
         along = np.array([np.cos(yaw), np.sin(yaw), 0.0])

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cei_envs.experts.expert import PadExpert
-from cei_envs.experts.plan import Waypoint, grip_pose
+from cei_envs.experts.plan import Waypoint
 from cei_envs.tasks.nut_assembly_square import PEG_M, PEG_TOP_M
 from cei_gym.arrays import Array
 
@@ -62,9 +62,7 @@ class NutAssemblySquareExpert(PadExpert):
     def _turns(self, yaw: float) -> tuple[float, float]:
         """The heading in which fingers close, as an angle from home's without a bound, and by how much the nut is then turned: the way on which the
         hand is turned least, at its worst."""
-        _, home = grip_pose(self.embodiment, self.embodiment.home, self.grip)
-        x, y, _ = self._T_base_world[:3, :3].T @ home.as_matrix()[:, 1]
-        at_home = np.arctan2(y, x)
+        at_home = self.home_heading_rad
         turn = (_HEADING_RAD - yaw + np.pi) % (2 * np.pi) - np.pi
         across = (yaw + np.pi - at_home) % np.pi - np.pi / 2  # half turns are alike, as fingers close from both sides
         start = min((across + half * np.pi for half in (-1, 0, 1)), key=lambda s: max(abs(s), abs(s + turn)))

@@ -1,4 +1,4 @@
-"""A scripted expert for things to pick up, with a parallel gripper."""
+"""A scripted expert for things to pick up, with any hand whose first pad opposes its others."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A scripted expert for PickCube with a parallel gripper."""
+"""Scripted experts for PickCube: with a parallel gripper, and with any hand whose first pad opposes its others."""
 
 from collections.abc import Sequence
 
@@ -6,11 +6,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cei_envs.experts.expert import GripperExpert, upright
+from cei_envs.experts.pick import PickExpert
 from cei_envs.experts.plan import Waypoint, grip_pose
+from cei_envs.tasks.placed import Placed
+from cei_envs.tasks.thing import Thing
 from cei_gym.arrays import Array
+from cei_gym.embodiment import Embodiment
 
 _ABOVE_M = 0.10
 _LIFT_M = 0.15
+_CUBE = Thing(Placed("cube"), height_m=0.02, width_m=0.042)
 
 
 class PickCubeExpert(GripperExpert):
@@ -31,3 +36,18 @@ class PickCubeExpert(GripperExpert):
             self.waypoint(grasp, rotation, 1.0, 10),
             self.waypoint(lift, rotation, 1.0, 20),
         ]
+
+
+class PickCubePadExpert(PickExpert):
+    """As other things are picked up, across those two sides for which it turns least."""
+
+    def __init__(self, embodiment: Embodiment, T_world_base: Array, seed: int, variation: float = 1.0) -> None:
+        super().__init__(embodiment, T_world_base, seed, variation, thing=_CUBE)
+
+    def waypoints(self, state: Array) -> Sequence[Waypoint]:
+        """See `PickExpert.waypoints`."""
+        _, across = _CUBE.grasp_world(state)
+        # Within what `reaching_down` leaves as it is.
+        quarters = -np.floor((across - self.home_heading_rad + np.pi / 6) / (np.pi / 2))
+        turned = Rotation.from_euler("z", quarters * np.pi / 2) * Rotation.from_quat(state[3:7], scalar_first=True)
+        return super().waypoints(np.concatenate([state[:3], turned.as_quat(scalar_first=True)]))
