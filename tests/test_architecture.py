@@ -186,6 +186,7 @@ LAYERS = {
             "quality",
             "search",
             "trials",
+            "starting",
             "common",
             "verify",
             "augment",
