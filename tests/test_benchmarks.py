@@ -7,7 +7,9 @@ import runpy
 from pathlib import Path
 from unittest.mock import ANY
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from cei_converters.benchmark.figures import Figure, Manifest
 
@@ -140,6 +142,16 @@ def test_twin(tmp_path: Path) -> None:
     assert rows[0]["truth"] and rows[0]["answer"] == "holds"
     assert f"| all | 4 | {sum(not row['truth'] for row in rows)} |" in printed
     assert depends_on(tmp_path, "twin.json").seeds == (3, 503)
+
+
+def test_things(tmp_path: Path) -> None:
+    run("things.py", tmp_path, "--things=Sphere", "--targets=IIWA-Inspire", "--seeds=1")
+    shown = json.loads((tmp_path / "results/things.json").read_text())["shown"]
+    assert shown == {"Sphere": {"succeeds": "IIWA-Inspire, seed 0: succeeds"}}
+    assert depends_on(tmp_path, "things.json", "things.png").seeds == (0, 0)
+    picture = np.asarray(Image.open(tmp_path / "results/things.png").convert("RGB"))
+    filmed, none = np.split(picture[:, 110:], 2, axis=1)
+    assert (filmed != 255).any(axis=2).mean() > 0.8 > 0.1 > (none != 255).any(axis=2).mean()
 
 
 def test_score(tmp_path: Path) -> None:

@@ -93,6 +93,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "benchmarks/start_up.py": (
         *(*_CLOUDS, "cei_gym/__init__.py", "cei_gym/compiled.py", *_ENVIRONMENTS, "benchmarks/start_up.py"),
     ),
+    "benchmarks/things.py": (*_METHOD, *_RECORDED, "benchmarks/things.py"),
     "benchmarks/training.py": (*_POLICY, *_CONVERSION[-4:], "benchmarks/training.py"),
     "benchmarks/transfer.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/transfer.py"),
     "benchmarks/twin.py": (
