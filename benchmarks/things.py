@@ -85,7 +85,7 @@ def main() -> None:
     parser.add_argument("--things", default=THINGS)
     parser.add_argument("--targets", default=TARGETS)
     parser.add_argument("--seeds", type=int, default=5, help="how many demonstrations of each, from 0")
-    parser.add_argument("--results", type=Path, default=Path("results/objects"))
+    parser.add_argument("--results", type=Path, default=Path("results/things"))
     args = parser.parse_args()
     seeds = range(args.seeds)
     rows = {thing: strips(thing, args.targets.split(","), seeds) for thing in tqdm(args.things.split(","), "things")}

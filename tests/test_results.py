@@ -127,7 +127,7 @@ CONVERTING = POLICIES | REPLAYS | {"augmentation", "scale", "transfer"}
         ("converters/cei_converters/conversion/steps.py", CONVERTING),
         ("cei_gym/wrapper.py", POLICIES | {"observation", "impersonation"}),
         ("cei_gym/augmentation.py", {"anchors_replay", "anchors_policy", "augmentation"}),
-        ("cei_gym/errors.py", CONVERTING | {"direction_weight", "impersonation", "pictures", "twin"}),
+        ("cei_gym/errors.py", CONVERTING | {"direction_weight", "impersonation", "pictures", "things", "twin"}),
         ("cei_gym/painting/light.py", {"camera_fit", "pictures"}),
         ("converters/cei_converters/cli/table.py", set()),
     ],

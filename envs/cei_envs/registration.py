@@ -37,7 +37,7 @@ _GRIPPER = "PandaGripper"
 _GRIPPERS = (_GRIPPER, "AG95")
 _HANDS = ("Inspire", "RobotiqThreeFinger")  # whose first pad opposes the others on a straight way to closed
 _BY_HAND = ("Sphere", "Cylinder", "LyingCylinder", "Mug", "Can")  # what they pick up by the same script as grippers
-_THINGS = (*_BY_HAND, "Lemon", "ThinBox", "Plate", "Hammer", "Nut")
+_THINGS = ("Sphere", "Cylinder", "LyingCylinder", "ThinBox", "Plate", "Mug", "Hammer", "Can", "Lemon", "Nut")
 
 
 def _of_grippers(expert: str, others: tuple[str, ...] = ()) -> dict[str, str]:
