@@ -4,7 +4,7 @@ from cei_gym.alignment.grip import Grip
 from cei_gym.alignment.stream import Stream
 from cei_gym.arrays import Array
 from cei_gym.embodiment import Embodiment
-from cei_gym.transfer.source_side import SourceSide
+from cei_gym.transfer.source_side import AT_REST, SourceSide
 
 
 class LiveSource:
@@ -35,12 +35,12 @@ class LiveSource:
         Returns:
             None where it has no pads that close on each other.
         """
-        pads, closes = self._side.pads_hand(qpos), closing_m > self._held_m
+        hand, closes = qpos[self._side.embodiment.n_arm :], closing_m > self._held_m
         held = False
         if closes and self._dt_s is not None and self._last is not None:
             last, closed = self._last
-            held = closed and bool(self._side.at_rest(pads, last, self._dt_s))
-        self._last = pads, closes
+            held = closed and bool((abs(hand - last) < AT_REST * self._dt_s).all())
+        self._last = hand.copy(), closes
         return self._side.grip_at(qpos, self._T, held)
 
     def reset(self) -> None:

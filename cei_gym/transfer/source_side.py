@@ -16,8 +16,8 @@ from cei_gym.embodiment import Embodiment
 from cei_gym.functional import FunctionalRepresentation
 from cei_gym.kinematics import KinematicTree
 
-AT_REST_M_S = 0.02
-"""A pad that is slower than this in its hand has stopped. Not joints: while a hand of many holds something, some of them always tremble."""
+AT_REST = 0.02
+"""rad/s or m/s: a finger slower than this has stopped."""
 
 
 class SourceSide:
@@ -38,10 +38,6 @@ class SourceSide:
         self._shapes = link_shapes(self.embodiment)
         self._sides = opposing_sides(representation, self.tree)
         self._pads = None if self._sides is None else pad_shapes(representation, self._sides)
-        self._bodies = np.unique(representation.body)
-        self._middles_link = np.array(
-            [representation.points_link[representation.body == body].mean(axis=0) for body in self._bodies]
-        )
 
     def T_world_target(self, demonstration: Demonstration) -> Array:
         """(4, 4) pose of the target's base."""
@@ -99,18 +95,6 @@ class SourceSide:
         """(T,) how far the pads press into what they hold, m."""
         return np.clip(self._closing_m(demonstration), 0.0, self._contact.squeeze_m)
 
-    def pads_hand(self, qpos: Array) -> Array:
-        """(..., P, 3) the middles of pads in the frame of the end-effector's first link, m, at (..., n) joint positions."""
-        T_links = self.tree.forward(qpos)
-        T_hand_base = np.linalg.inv(T_links[..., self.embodiment.end_effector_root, :, :])
-        T_hand_pads = T_hand_base[..., None, :, :] @ T_links[..., self._bodies, :, :]
-        return (T_hand_pads[..., :3, :3] @ self._middles_link[..., None])[..., 0] + T_hand_pads[..., :3, 3]
-
-    def at_rest(self, pads_hand: Array, before_hand: Array, dt_s: float) -> Array:
-        """(...) whether pads (..., P, 3) have stopped that were elsewhere dt_s before."""
-        moved_m = np.linalg.norm(pads_hand - before_hand, axis=-1)
-        return (moved_m < AT_REST_M_S * dt_s).all(axis=-1)
-
     def grip_at(self, qpos: Array, T_target_source: Array, held: bool) -> Grip | None:
         """What it does in one frame, at (n,) joint positions; None where it has no pads that close on each other."""
         return self._grip_of(T_target_source @ self.tree.forward(qpos)[None], np.array([held]))
@@ -131,11 +115,10 @@ class SourceSide:
         if self._sides is None:
             return None
         # Told to close, but at rest: something is in between.
-        pads = self.pads_hand(demonstration.qpos)
-        moves = ~self.at_rest(pads[1:], pads[:-1], 1.0 / demonstration.fps)
+        hand = demonstration.qpos[:, self.embodiment.n_arm :]
+        moves = (np.abs(np.diff(hand, axis=0)) * demonstration.fps > AT_REST).any(axis=1)
         at_rest = ~np.append(False, moves) & ~np.append(moves, False)  # neither on its way nor about to set out
-        told = self._closing_m(demonstration) > self._contact.held_m
-        held = told & np.append(told[:1], told[:-1]) & at_rest  # not just told: hands begin slowly
+        held = (self._closing_m(demonstration) > self._contact.held_m) & at_rest
         return self._grip_of(self.links(demonstration), held)
 
     def _grip_of(self, T_links: Array, held: Array) -> Grip | None:

@@ -55,7 +55,7 @@ ELSEWHERE = {
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-convert .*--target=XArm7-ShadowHand .*": "needs ../shared/robots; tests/test_target_pose_auto.py runs another",
     r"cei-calibrate .*--by=outlines .*": "needs ../shared; tests/test_outlines.py runs it",
     r"CEI_GYM_PACKAGE_PATH=\S+ python benchmarks/pads\.py": "needs ../shared/robots; a picture",
-    r"cei-benchmark replay --tasks=Lift,.*": "half an hour; tests/test_benchmark_command.py runs it smaller",
+    r"cei-benchmark replay --tasks=(Lift,|Door |PickCube,Pick-Can).*": "half an hour; tests/test_benchmark_command.py runs it smaller",
     r"cei-benchmark replay (--tables=main|--seed=1000 --results=\S+)": "an hour; tests/test_benchmark_command.py runs it smaller",
 }
 """Commands that are not run here, as patterns, and why."""
