@@ -167,11 +167,18 @@ def test_a_gripper_demonstrates_it(thing: str) -> None:
 
 
 @pytest.mark.parametrize("hand", ["IIWA-Inspire", "Panda-RobotiqThreeFinger"])
-@pytest.mark.parametrize("task", ["PickCube", "Pick-Can"])
-def test_a_hand_demonstrates_it(task: str, hand: str) -> None:
+@pytest.mark.parametrize(
+    ("task", "seeds"),
+    [
+        ("PickCube", 3),
+        ("Pick-Can", 3),
+        *((f"Pick-{each}", 1) for each in ("Sphere", "Cylinder", "LyingCylinder", "Mug")),
+    ],
+)
+def test_a_hand_demonstrates_it(task: str, seeds: int, hand: str) -> None:
     """By its own pads, not by what was transferred to it."""
     env = make(task, hand, clouds=False)
-    outcomes = [record_episode(env, seed, 0)[1] for seed in range(3)]
+    outcomes = [record_episode(env, seed, 0)[1] for seed in range(seeds)]
     env.close()
     assert all(info["is_success"] for info in outcomes), outcomes
 

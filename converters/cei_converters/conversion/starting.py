@@ -28,7 +28,7 @@ class Chosen:
         start: which of the finalists of `Transfer.fit`, best first.
         held: share of the replays that chose it, the plain and the perturbed of some episodes, that succeed.
         best_held: the same of the one that follows best.
-        tried: how many starts there were to choose from.
+        tried: how many starts were, until one was robust.
     """
 
     start: int
@@ -38,7 +38,7 @@ class Chosen:
 
     def __str__(self) -> str:
         return (
-            f"start {self.start + 1} of {self.tried}, of which {self.held:.0%} of some replays hold, and {self.best_held:.0%} "
+            f"start {self.start + 1}, of {self.tried} that were tried, of which {self.held:.0%} of some replays hold, and {self.best_held:.0%} "
             "of the one that follows best"
         )
 
@@ -69,7 +69,7 @@ def choose_start(
     if tried < 2 or len(transfer.basins) != 1 or not demonstrations:
         return None
     trials = Trials(stage, 1, allow_unreachable)
-    by_start = [_held(transfer, trials, demonstrations, 0, 0.0)]
+    by_start = [_held(transfer, trials, demonstrations, 0)]
     done(1)
     if by_start[0] >= options.robust:
         return None
@@ -82,17 +82,19 @@ def choose_start(
     if by_start[chosen] < by_start[0] + BETTER:
         return None
     confirmed = [_confirmed(transfer, trials, demonstrations, start) for start in (chosen, 0)]
-    return Chosen(chosen, by_start[chosen], by_start[0], tried) if confirmed[0] >= confirmed[1] + BETTER else None
+    return (
+        Chosen(chosen, by_start[chosen], by_start[0], len(by_start)) if confirmed[0] >= confirmed[1] + BETTER else None
+    )
 
 
 def _held(
-    transfer: Transfer, trials: Trials, demonstrations: Sequence[Demonstration], start: int, least: float
+    transfer: Transfer, trials: Trials, demonstrations: Sequence[Demonstration], start: int, least: float | None = None
 ) -> float:
-    """Share of replays that hold from a start, in the mean over episodes; 0 as soon as it cannot be over `least`, or seems hopeless."""
+    """Share of replays that hold from a start, in the mean over episodes. With `least`, 0 as soon as it cannot be over that, or seems hopeless."""
     held, n = 0.0, len(demonstrations)
     for i, demonstration in enumerate(demonstrations):
         held += trials.judge(*_moved(transfer, demonstration, start)).share
-        if i < n - 1 and (held + n - 1 - i <= least * n or (not held and i + 1 == _HOPELESS)):
+        if least is not None and i < n - 1 and (held + n - 1 - i <= least * n or (not held and i + 1 == _HOPELESS)):
             return 0.0
     return held / n
 

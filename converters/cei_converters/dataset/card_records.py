@@ -117,7 +117,7 @@ def verified(metadata: Metadata, records: Records) -> str:
         p.options["refine"]["start"] for p in metadata.provenances if "start" in p.options.get("refine", {})
     ):
         text += (
-            f"All follow from another start than the one that follows best: of {chosen['tried']} tried on some episodes, replays from it hold in "
+            f"All follow from another start than the one that follows best: of {chosen['tried']} that were tried on some episodes, replays from it hold in "
             f"{chosen['held']:.0%}, from that in {chosen['best_held']:.0%}; what is called plain here begins there. "
         )
     if refined:
