@@ -25,6 +25,10 @@ class Impersonation:
         T_target_source: (4, 4) pose of the source's base in the target's.
         dt_s: time between actions; with it, joints keep their velocity limits, and what is held is known.
 
+    Attributes:
+        qpos: (n,) the source's joints, rad or m.
+        holds: whether something is held: since the hand was told to close and came to rest, until it is told to open.
+
     Raises:
         CEIError: the transfer has not been fitted.
     """
@@ -49,6 +53,7 @@ class Impersonation:
         """Start with the source at `qpos` (n,); joint positions (n',) of the target there, rad or m."""
         self._stream.reset()
         self._source.reset()
+        self.holds = False
         self.qpos = np.asarray(qpos, float)
         start = self._follow(self.qpos, 0.0)
         self._measured = self._expected.copy()
@@ -59,6 +64,7 @@ class Impersonation:
         self._measured = self._expected = self.target.coupled.reduce(np.asarray(qpos, float))
         self._stream.resume_from(self._measured)
         self._source.reset()
+        self.holds = False
         problem, _ = self._back
         points, normals = self._pads_in_source(self._measured)
         u = find_basins(problem, self._transfer.solver_options, points, normals, self._transfer.init)[0]
@@ -96,7 +102,10 @@ class Impersonation:
         return self.qpos.copy()
 
     def _follow(self, qpos: Array, closing_m: float) -> Array:
-        self._expected = self._stream(*self._source.place(qpos), self._source.grip(qpos, closing_m))
+        grip = self._source.grip(qpos, closing_m)
+        closes = closing_m > self._transfer.contact.held_m
+        self.holds = closes and (self.holds or (grip is not None and bool(grip.held.any())))
+        self._expected = self._stream(*self._source.place(qpos), grip)
         return self.target.coupled.expand(self._expected)
 
     def _imitate(self, u: Array) -> Array:

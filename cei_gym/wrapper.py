@@ -1,6 +1,7 @@
 """`CrossEmbodimentWrapper`: at inference, the observations that a policy was trained on (the paper's section IV-C)."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -8,11 +9,18 @@ import numpy as np
 from cei_gym.arrays import Array
 from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment, load_embodiment
-from cei_gym.errors import CEIError
+from cei_gym.errors import CEIError, unknown
 from cei_gym.impersonation import Impersonation
 from cei_gym.pointcloud import CloudOptions, CloudSynthesiser, frame_points
 from cei_gym.transfer import Transfer
 from cei_gym.untrusted import finite_row
+
+if TYPE_CHECKING:
+    from cei_gym.painting import LivePainter
+
+
+PIXELS = "pixels"
+"""Entry of an observation with its pictures, as Gymnasium's environments and LeRobot have it."""
 
 
 class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.utils.EzPickle):
@@ -23,6 +31,9 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
 
     *Impersonate*: a policy trained on another robot runs unchanged. It sees that robot's joints, and a cloud in which it
     stands in the place of the one that acts; its actions are retargeted live.
+
+    *Pictures*: the `pixels` of an observation, one of each of the scene's cameras, are painted over (`cei_gym.painting.LivePainter`) where another
+    robot is impersonated, or where asked for, as for a policy that was trained on painted ones.
 
     Clouds come from the images of an environment that has them (`depth_m()`, with colours `rgb()`, and cameras in its scene), else
     from its observation. The environment's `embodiment` and `scene` are used where they are not given.
@@ -40,9 +51,12 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         start_option: reset option by which the environment puts its joints somewhere, for an impersonated robot to start from
             its home, or where that very option says; None if it has no such option: the other robot then starts from where
             its pads come nearest.
+        paint: whether the robot that the policy sees is painted over the one that acts in `pixels`, camera name to (H, W, 3) uint8 picture of a
+            fixed camera of the scene; None for where there are any and another robot is impersonated.
 
     Raises:
         CEIError: the environment lacks something of the above.
+        MissingExtra: pictures are painted, and OpenCV is not installed.
     """
 
     def __init__(
@@ -55,6 +69,7 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         joints_key: str = "agent_pos",
         cloud_key: str = "point_cloud",
         start_option: str | None = "agent_pos",
+        paint: bool | None = None,
     ) -> None:
         arguments: dict[str, Any] = {
             "impersonate": impersonate,
@@ -64,6 +79,7 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
             "joints_key": joints_key,
             "cloud_key": cloud_key,
             "start_option": start_option,
+            "paint": paint,
         }
         gym.utils.RecordConstructorArgs.__init__(self, **arguments)
         gym.utils.EzPickle.__init__(self, env, **arguments)
@@ -82,6 +98,9 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         rate_hz = env.metadata.get("render_fps")  # a step is a frame, as Gymnasium has it
         dt_s = 1 / rate_hz if rate_hz else None
         self._impersonation = None if impersonate is None else Impersonation(impersonate, np.eye(4), dt_s)
+        if paint is None:
+            paint = impersonate is not None and PIXELS in spaces
+        self._painters: dict[str, LivePainter] = _painters(spaces, acting, shown, self._scene) if paint else {}
         spaces[cloud_key] = _cloud_space(self._scene.workspace_world, clouds, spaces[cloud_key])
         if impersonate is not None:
             spaces[joints_key] = gym.spaces.Box(-np.inf, np.inf, (len(shown.home),), np.float32)
@@ -92,6 +111,8 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """As the environment's; of an impersonated robot, `options[start_option]` is its own joint positions."""
+        for painter in self._painters.values():
+            painter.reset()
         playing = self._impersonation
         if playing is None:
             observation, info = self.env.reset(seed=seed, options=options)
@@ -113,9 +134,9 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         observation, reward, terminated, truncated, info = self.env.step(action)
         return self._shown(observation), reward, terminated, truncated, info
 
-    def _shown(self, observation: dict[str, Array]) -> dict[str, Array]:
+    def _shown(self, observation: dict[str, Any]) -> dict[str, Any]:
         qpos = np.asarray(observation[self._joints_key], float)
-        points, shown = self._points(observation), {}
+        points, acting, shown = self._points(observation), qpos, dict[str, Any]()
         swap = self._synthesiser.options.swap
         kept = self._synthesiser.remove(points, self._scene, qpos) if swap else points
         if self._impersonation is not None:
@@ -124,9 +145,16 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         shown[self._cloud_key] = (
             self._synthesiser.add(kept, self._scene, qpos) if swap else self._synthesiser.keep(kept, self._scene)
         )
+        if self._painters:
+            pixels, depth_m = observation[PIXELS], self._images("depth_m")
+            holds = self._impersonation is not None and self._impersonation.holds
+            shown[PIXELS] = {
+                name: painter(pixels[name], acting, qpos, depth_m.get(name), holds)
+                for name, painter in self._painters.items()
+            }
         return {**observation, **shown}
 
-    def _points(self, observation: dict[str, Array]) -> Array:
+    def _points(self, observation: dict[str, Any]) -> Array:
         depth_m, rgb = (self._images(name) for name in ("depth_m", "rgb"))
         cloud = np.asarray(observation[self._cloud_key], float)
         points = frame_points(self._scene, depth_m, rgb, cloud, self._synthesiser.options.colours)
@@ -176,3 +204,26 @@ def _cloud_space(workspace_world: Array, clouds: CloudOptions, given: gym.Space[
         low, high = np.append(low, np.zeros(3)), np.append(high, np.ones(3))
     low, high = (np.tile(corner, (clouds.points, 1)).astype(np.float32) for corner in (low, high))
     return gym.spaces.Box(low, high, dtype=np.float32)
+
+
+def _painters(
+    spaces: dict[str, gym.Space[Any]], acting: Embodiment, shown: Embodiment, scene: Scene
+) -> "dict[str, LivePainter]":
+    from cei_gym.painting import LivePainter  # OpenCV, scipy
+
+    of_cameras = cast("Mapping[str, Any]", getattr(spaces.get(PIXELS), "spaces", {}))
+    if not of_cameras:
+        raise CEIError(
+            f"there is nothing to paint: observations have no {PIXELS!r}, camera name to picture (CEI-Gym's: pixels=True)."
+        )
+    cameras = {camera.name: camera for camera in scene.cameras}
+    for name, space in of_cameras.items():
+        if name not in cameras:
+            raise unknown(f"camera of {PIXELS!r}, which has to be calibrated,", name, [*cameras])
+        size = cameras[name].height, cameras[name].width, 3
+        if space.shape != size or space.dtype != np.uint8:
+            raise CEIError(
+                f"{PIXELS!r} of {name} are {space.dtype} of {space.shape}, where its calibration is of uint8, {size}."
+            )
+    base = scene.T_world_base
+    return {name: LivePainter(acting, shown, base, base, cameras[name], scene.support_z_m) for name in of_cameras}

@@ -7,6 +7,7 @@ from cei_gym.painting.behind import Plate
 from cei_gym.painting.calibrated import Agreement, agreement
 from cei_gym.painting.camera_fit import CameraFit, fit_camera
 from cei_gym.painting.carried import Carry, carries
+from cei_gym.painting.live import LivePainter
 from cei_gym.painting.outline_fit import Footage, fit_outlines
 from cei_gym.painting.painter import Figures, Painter, Shot
 from cei_gym.painting.view import delayed
@@ -17,6 +18,7 @@ __all__ = [
     "Carry",
     "Figures",
     "Footage",
+    "LivePainter",
     "Painter",
     "Plate",
     "Shot",

@@ -21,8 +21,8 @@ from cei_gym.errors import CEIError
 from cei_gym.painting.behind import Plate
 from cei_gym.painting.calibrated import Agreement, agreement
 from cei_gym.painting.clicks import CLICK_PX, Clicks
+from cei_gym.painting.composite import grown
 from cei_gym.painting.light import Light
-from cei_gym.painting.painter import grown
 from cei_gym.painting.view import Drawn, RobotView
 from cei_gym.rendering import image_points, resized, unproject
 

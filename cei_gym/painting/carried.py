@@ -6,7 +6,7 @@ lies there whole.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Self, cast
 
 import numpy as np
 from scipy import ndimage
@@ -20,10 +20,12 @@ from cei_gym.rendering import image_points, project
 
 _CARRIED_M = 0.02  # by less nothing is carried
 _LIES_M = 0.003  # what has moved by less lies where it lay
-_HAND_M = 0.06  # around the grip, what a hand may hold; nothing there shows what is behind
+HAND_M = 0.06
+"""Around the grip, what a hand may hold; nothing there shows what is behind."""
 _REACH_M = 0.12  # around the grip, where something may have changed
 _CHANGED = 24  # of 255
-_LEAST_PIXELS = 12
+LEAST_PIXELS = 12
+"""Fewer are no object."""
 
 
 @dataclass(frozen=True)
@@ -77,38 +79,32 @@ def carries(motion: Motion, T_world_base: Array) -> list[Carry]:
 
 
 @dataclass(frozen=True)
-class CutOut:
-    """A carried object as it looked where it lay.
+class Flat:
+    """An object as it looked where it lay: a plane that faces the camera, and goes where the object goes.
 
     Attributes:
-        carry: which.
-        picture: (H, W, 3) uint8, of the frame in which it was taken.
+        picture: (H, W, 3) uint8.
         alpha: (H, W) float32 in [0, 1], where it is the object.
         bulge_m: (H, W) float32, by how much its surface is nearer to the camera than its middle: taken for as deep as it is wide.
-        points_world: (3, 3) of a plane that faces the camera where it is held, m.
+        points_world: (3, 3) of the plane, where the object lay, m.
     """
 
-    carry: Carry
     picture: Array
     alpha: Array
     bulge_m: Array
     points_world: Array
 
-    def is_drawn(self, frame: int, never: Array) -> bool:
-        """Whether it is on its way in a frame, or where it stays, but (H, W) `never` seen there."""
-        if frame <= self.carry.taken:
-            return False
-        return frame < self.carry.placed or bool((never & (self.alpha > 0)).any())
+    @classmethod
+    def of(cls, picture: Array, where: Array, middle_world: Array, camera: Camera) -> Self:
+        """What is at some pixels, (H, W) bool, of a picture, around a point of the world."""
+        bulge_m, plane = _bulge(where, middle_world, camera), _plane(middle_world, camera)
+        return cls(_spread(picture, where), where.astype(np.float32), bulge_m, plane)
 
-    def at(self, frame: int, camera: Camera) -> "Layer":
-        """It as the hand has it in a frame.
-
-        A plane that faces the camera moves with the hand; three of its points make an affine map.
-        """
+    def moved(self, by: Array, camera: Camera) -> "Layer":
+        """It after a motion (4, 4) in the world; three points of the plane make an affine map."""
         import cv2
 
-        moved = self.carry.moved(frame)
-        now = self.points_world @ moved[:3, :3].T + moved[:3, 3]
+        now = self.points_world @ by[:3, :3].T + by[:3, 3]
         affine = cv2.getAffineTransform(
             *(image_points(points, camera)[0].astype(np.float32) for points in (self.points_world, now))
         )
@@ -119,6 +115,24 @@ class CutOut:
         )
         middle_m = (now[0] - camera.T_world_camera[:3, 3]) @ camera.T_world_camera[:3, 2]
         return Layer(picture, alpha, np.where(alpha > 0.5, middle_m - bulge_m, np.inf))
+
+
+@dataclass(frozen=True)
+class CutOut:
+    """A carried object, cut out of the frame in which it was taken."""
+
+    carry: Carry
+    flat: Flat
+
+    def is_drawn(self, frame: int, never: Array) -> bool:
+        """Whether it is on its way in a frame, or where it stays, but (H, W) `never` seen there."""
+        if frame <= self.carry.taken:
+            return False
+        return frame < self.carry.placed or bool((never & (self.flat.alpha > 0)).any())
+
+    def at(self, frame: int, camera: Camera) -> "Layer":
+        """It as the hand has it in a frame."""
+        return self.flat.moved(self.carry.moved(frame), camera)
 
 
 @dataclass(frozen=True)
@@ -157,7 +171,7 @@ def cut_out(
     T = len(pictures)
     covered = list(covered)
     for t in range(carry.taken + 1, min(carry.placed, T)):  # near the hand is what it carries
-        covered[t] = np.union1d(covered[t], np.flatnonzero(_disc(carry.middle_world[t], _HAND_M, camera)))
+        covered[t] = np.union1d(covered[t], np.flatnonzero(near_hand(carry.middle_world[t], camera)))
     taken = _changed(pictures, covered, carry.taken, carry.middle_world[carry.taken], camera)
     if taken is None:
         return None, []
@@ -167,14 +181,7 @@ def cut_out(
         placed = _changed(pictures, covered, carry.placed - 1, carry.middle_world[carry.placed], camera)
         if placed is not None:
             changes.append(Change(carry.placed, np.flatnonzero(placed[1])))
-    middle_world = carry.middle_world[carry.taken]
-    cut = CutOut(
-        carry,
-        _spread(before, change),
-        change.astype(np.float32),
-        _bulge(change, middle_world, camera),
-        _plane(middle_world, camera),
-    )
+    cut = CutOut(carry, Flat.of(before, change, carry.middle_world[carry.taken], camera))
     return cut, changes
 
 
@@ -193,7 +200,12 @@ def _changed(
         return None
     sizes = ndimage.sum_labels(changed, parts, np.arange(1, count + 1))
     part = parts == 1 + int(np.argmax(sizes))
-    return (before, part) if sizes.max() >= _LEAST_PIXELS else None
+    return (before, part) if sizes.max() >= LEAST_PIXELS else None
+
+
+def near_hand(middle_world: Array, camera: Camera) -> Array:
+    """(H, W) bool, the pixels in which there may be what a hand holds there."""
+    return _disc(middle_world, HAND_M, camera)
 
 
 def _disc(point_world: Array, radius_m: float, camera: Camera) -> Array:

@@ -22,8 +22,8 @@ from cei_gym.painting.behind import Plate
 from cei_gym.painting.calibrated import agreement
 from cei_gym.painting.camera_fit import CameraFit
 from cei_gym.painting.clicks import CLICK_PX, Clicks
+from cei_gym.painting.composite import grown
 from cei_gym.painting.edges import Outline, edges_px
-from cei_gym.painting.painter import grown
 from cei_gym.painting.view import RobotView
 from cei_gym.rendering import image_points
 

@@ -11,14 +11,12 @@ from cei_gym.arrays import Array
 from cei_gym.demonstration import Camera
 from cei_gym.embodiment import Embodiment
 from cei_gym.painting.behind import Change, Plate, nearest_in_time
-from cei_gym.painting.carried import Carry, CutOut, Layer, cut_out
+from cei_gym.painting.carried import Carry, CutOut, cut_out
+from cei_gym.painting.composite import completed, fineness, grown, with_layers, with_robot
 from cei_gym.painting.light import Light
-from cei_gym.painting.view import Drawn, RobotView
+from cei_gym.painting.view import RobotView
 
-_FINENESS = 1, 2  # pixels to draw for one of the picture's, in each direction: recorded edges are hard or smooth
 _LIT_FRAMES, _EDGE_FRAMES = 8, 3  # that light is read from, and how hard edges are
-_SCENE_M = 0.01  # by so much recorded depth is nearer than the robot, before it hides it
-_INPAINT_PX = 3
 
 
 @dataclass(frozen=True)
@@ -125,12 +123,12 @@ class Painter:
         for i, t in enumerate(frames.tolist()):
             drawn = self._target.draw(qpos[i], finer)
             scene, never = self._uncovered(shot, without, t)
-            scene, from_plate, made_up = self._completed(scene, never, drawn)
+            scene, from_plate, made_up = completed(scene, never, drawn, self.plate)
             pooled, invented = pooled + from_plate, invented + made_up
             layers = [cut.at(t, self.camera) for cut in without.cuts if cut.is_drawn(t, never)]
             layers = [layer.hard() for layer in layers] if finer == 1 else layers
-            near_m = _with_layers(scene, without.robot[t], layers, None if shot.depth_m is None else shot.depth_m[t])
-            painted[i] = _with_robot(scene, near_m, drawn, self._target.colours, light)
+            near_m = with_layers(scene, without.robot[t], layers, None if shot.depth_m is None else shot.depth_m[t])
+            painted[i] = with_robot(scene, near_m, drawn, self._target.colours, light)
         pixels = painted[..., 0].size
         off = None if np.isnan(light.off) else 255 * light.off
         covered = sum(map(len, without.robot)) / shot.pictures[..., 0].size
@@ -165,16 +163,9 @@ class Painter:
 
     def _fineness(self, shot: Shot, without: _Without, light: Light) -> int:
         """How finely robots are to be drawn, so that the source's edges are as they were recorded."""
-        off = dict.fromkeys(_FINENESS, 0.0)
-        for t in _spread(len(shot.qpos), _EDGE_FRAMES):
-            inside = self._source.silhouette(shot.qpos[t])
-            edge = grown(inside, 1) & grown(~inside, 1)
-            behind, _ = self._uncovered(shot, without, t)
-            for finer in _FINENESS:
-                drawn = self._source.draw(shot.qpos[t], finer)
-                again = _with_robot(behind.copy(), None, drawn, self._source.colours, light)
-                off[finer] += float(np.abs(again[edge].astype(float) - shot.pictures[t][edge]).sum())
-        return min(off, key=off.__getitem__)
+        few = _spread(len(shot.qpos), _EDGE_FRAMES)
+        seen = [(shot.qpos[t], self._uncovered(shot, without, t)[0], shot.pictures[t]) for t in few]
+        return fineness(self._source, seen, light)
 
     def _uncovered(self, shot: Shot, without: _Without, t: int) -> tuple[Array, Array]:
         """(H, W, 3) uint8, a frame without the source, and (H, W) bool, where no frame shows what is behind."""
@@ -186,60 +177,6 @@ class Painter:
         never.ravel()[pixels[~seen]] = True
         return scene, never
 
-    def _completed(self, scene: Array, never: Array, drawn: Drawn) -> tuple[Array, int, int]:
-        """The picture with what no frame of the episode shows, and of what the target does not hide how many pixels are from other episodes, and
-        how many inpainted."""
-        left = never.copy()
-        left[drawn.part] &= drawn.share < 1
-        if not left.any():
-            return scene, 0, 0
-        import cv2
-
-        pooled = 0
-        if self.plate is not None:
-            known = never & self.plate.known
-            scene[known] = self.plate.picture[known]
-            pooled = int((left & known).sum())
-            never, left = never & ~known, left & ~known
-        if left.any():
-            scene = cv2.inpaint(scene, never.astype(np.uint8), _INPAINT_PX, cv2.INPAINT_TELEA)
-        return scene, pooled, int(left.sum())
-
-
-def _with_layers(scene: Array, robot: Array, layers: Sequence[Layer], depth_m: Array | None) -> Array:
-    """Draw what is carried where the source hid it, in place; (H, W) depth of what may be before a robot, m, inf where nothing is."""
-    hidden = np.zeros(scene.shape[:2], bool)
-    hidden.ravel()[robot] = True
-    near_m = np.full(hidden.shape, np.inf)
-    if depth_m is not None:
-        near_m[(depth_m > 0) & ~hidden] = depth_m[(depth_m > 0) & ~hidden] + _SCENE_M
-    for layer in layers:
-        share = np.where(hidden, layer.alpha, 0)[..., None]
-        scene[:] = np.rint(scene + share * (layer.picture.astype(np.float32) - scene))
-        near_m = np.where(np.isfinite(near_m), near_m, layer.depth_m)
-    return near_m
-
-
-def _with_robot(scene: Array, near_m: Array | None, drawn: Drawn, own: Array, light: Light) -> Array:
-    """Draw a robot with geoms of its own colours, but where something is nearer, in place."""
-    colours, share, depth_m = light.on(drawn, own)
-    if near_m is not None:
-        share = np.where(near_m[drawn.part] < depth_m, 0.0, share)
-    part = scene[drawn.part]
-    scene[drawn.part] = np.rint(part + share[..., None] * (255 * colours - part))
-    return scene
-
 
 def _spread(count: int, most: int) -> list[int]:
     return np.unique(np.linspace(0, count - 1, most).round().astype(int)).tolist()
-
-
-def grown(mask: Array, by_px: float) -> Array:
-    """(H, W) bool, with what is within a distance."""
-    import cv2
-
-    if by_px <= 0:
-        return mask
-    size = 2 * int(np.ceil(by_px)) + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    return cv2.dilate(mask.astype(np.uint8), kernel).astype(bool)

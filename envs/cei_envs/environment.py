@@ -28,6 +28,8 @@ from cei_gym.rendering import DepthCamera, add_noise, as_noise, geom_colours, mi
 from cei_gym.untrusted import finite_row
 
 CLOUD_POINTS = 1024
+CAMERAS, IMAGE_WIDTH, IMAGE_HEIGHT = ("front",), 160, 120
+"""Defaults of an environment's cameras, and of their images' size."""
 MM_PER_M = np.float32(1000)
 START_NOISE_RAD = 0.02
 _RESET_OPTIONS = ("environment_state", "agent_pos", "friction_scale")
@@ -62,6 +64,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         sensors: names of `cei_envs.sensors`, which `channels` measures too; observations stay what they are.
         T_world_base: (4, 4) where the robot stands, if it is one that robosuite does not mount; default: where robosuite's Panda does.
         render_mode: "rgb_array" or None.
+        pixels: observations have `pixels`, the picture of each camera, (H, W, 3) uint8 by its name.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012  (as Gymnasium declares it)
@@ -71,17 +74,18 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         self,
         embodiment: str,
         max_hold_ticks: int = 5,
-        image_width: int = 160,
-        image_height: int = 120,
+        image_width: int = IMAGE_WIDTH,
+        image_height: int = IMAGE_HEIGHT,
         clouds: bool = True,
         stock_physics: bool = False,
-        cameras: Sequence[str] = ("front",),
+        cameras: Sequence[str] = CAMERAS,
         depth_noise: str | Mapping[str, float] | None = None,
         colours: bool = False,
         start_qpos: Sequence[float] | Sequence[Sequence[float]] | None = None,
         sensors: Sequence[str] = (),
         T_world_base: Sequence[Sequence[float]] | None = None,
         render_mode: str | None = None,
+        pixels: bool = False,
     ) -> None:
         gym.utils.EzPickle.__init__(
             self,
@@ -98,6 +102,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
             sensors,
             T_world_base,
             render_mode,
+            pixels,
         )
         for name in ("task", "task_text", "state_names"):
             if not hasattr(self, name):
@@ -119,11 +124,12 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         """What it runs: model, joints, contacts, for a task to ask."""
         self.scene = Scene(self.simulation.T_world_base, calibrated, self.workspace_world())
         """Base, depth cameras as calibrated, workspace."""
-        self._camera = DepthCamera(self.simulation.model, placed) if clouds else None
-        self._colours = geom_colours(self.simulation.model) if colours else None
+        self._clouds, self._coloured, self._pixels = clouds, colours, pixels
+        self._camera = DepthCamera(self.simulation.model, placed) if clouds or pixels else None
+        self._colours = geom_colours(self.simulation.model) if colours or pixels else None
         self._depth_m: dict[str, Array] = {}
         self._rgb: dict[str, Array] = {}
-        self._seen: dict[str, Array] = {}
+        self._seen: dict[str, Any] = {}
         self._picture: Picture | None = None
         n = len(self.embodiment.joint_names)
         kinds = np.array(self.embodiment.joint_units) == "m"
@@ -136,14 +142,20 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         if colours:
             box = np.concatenate([box, [[0.0] * 3, [1.0] * 3]], axis=1)
         box = np.tile(box.astype(np.float32)[:, None], (1, CLOUD_POINTS, 1))
-        spaces = {
+        spaces: dict[str, gym.Space[Any]] = {
             # Physics lets a joint pass its limit a little.
             "agent_pos": gym.spaces.Box(-np.inf, np.inf, (n,), np.float32),
             # A cloud with too few points is filled up with zeros.
             "point_cloud": gym.spaces.Box(np.minimum(box[0], 0), np.maximum(box[1], 0), dtype=np.float32),
             "environment_state": gym.spaces.Box(-np.inf, np.inf, (len(self.state_names),), np.float32),
         }
-        self.observation_space = gym.spaces.Dict({k: v for k, v in spaces.items() if clouds or k != "point_cloud"})
+        if not clouds:
+            del spaces["point_cloud"]
+        if pixels:
+            spaces["pixels"] = gym.spaces.Dict(
+                {camera.name: gym.spaces.Box(0, 255, (camera.height, camera.width, 3), np.uint8) for camera in placed}
+            )
+        self.observation_space = gym.spaces.Dict(spaces)
 
     # -- what a task defines ------------------------------------------------------------------------------------
 
@@ -285,7 +297,7 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
 
     def rgb(self) -> dict[str, Array]:
         """Camera name to the (H, W, 3) uint8 picture that belongs to the depth; empty without `colours`."""
-        return self._rgb
+        return self._rgb if self._coloured else {}
 
     def channels(self) -> dict[str, Any]:
         """What demonstrations have of the moment of the last observation: channel of `cei_gym.demonstration.Demonstration` to its values.
@@ -298,8 +310,8 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         seen = self._seen
         found = {"qpos": seen["agent_pos"], "environment_state": seen["environment_state"]}
         found |= {name: SENSORS[name](self.simulation) for name in self._sensors}
-        if self._camera is not None:
-            found |= {"point_cloud_world": seen["point_cloud"], "depth_m": self._depth_m, "rgb": self._rgb}
+        if self._clouds:
+            found |= {"point_cloud_world": seen["point_cloud"], "depth_m": self._depth_m, "rgb": self.rgb()}
         return found
 
     @property
@@ -379,8 +391,8 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
         slow = np.abs(qpos - before)[driven] * CONTROL_HZ < AT_REST
         return bool(np.all(close | slow))
 
-    def _observation(self) -> dict[str, Array]:
-        observation = {
+    def _observation(self) -> dict[str, Any]:
+        observation: dict[str, Any] = {
             "agent_pos": self.simulation.qpos.astype(np.float32),
             "environment_state": self.read_state().astype(np.float32),
         }
@@ -394,9 +406,12 @@ class CEIEnv(gym.Env, gym.utils.EzPickle, ABC):
                     depth_m = add_noise(depth_m, camera, self._noise, self._noise_random)
                 # Whole millimetres, as depth cameras give and datasets store: what is seen live is what is recorded.
                 self._depth_m[camera.name] = np.rint(depth_m * MM_PER_M) / MM_PER_M
-            points = fuse_depth(self.scene, self._depth_m, self._rgb)
+        if self._clouds:
+            points = fuse_depth(self.scene, self._depth_m, self.rgb())
             points = points[crop(points, self.scene.workspace_world)]
             observation["point_cloud"] = farthest_point_sample(points, CLOUD_POINTS)
+        if self._pixels:
+            observation["pixels"] = dict(self._rgb)
         self._seen = observation
         return observation
 

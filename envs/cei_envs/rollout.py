@@ -16,16 +16,17 @@ NEW_ROLLOUT = "lerobot_new_rollout"
 """Reset option by which LeRobot says that a new episode is wanted; resets without it are a vector environment's own."""
 
 
-def make_rollout_env(env_id: str, augment: CloudOptions | None = None, **options: Any) -> gym.Env:
+def make_rollout_env(env_id: str, augment: CloudOptions | None = None, paint: bool = False, **options: Any) -> gym.Env:
     """An environment for evaluation.
 
     Args:
         env_id: its id.
         augment: options of `CrossEmbodimentWrapper`'s clouds; None for clouds as cameras see them.
+        paint: whether the robot is painted over itself in `pixels`, as in converted pictures.
         options: of `gym.make`.
     """
     env = gym.make(env_id, **options)
-    return OneEpisode(env if augment is None else CrossEmbodimentWrapper(env, clouds=augment))
+    return OneEpisode(env if augment is None else CrossEmbodimentWrapper(env, clouds=augment, paint=paint))
 
 
 class OneEpisode(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.utils.EzPickle):

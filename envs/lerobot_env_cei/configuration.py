@@ -11,27 +11,28 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs import EnvConfig
 from lerobot.processor import PolicyProcessorPipeline
-from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE, OBS_STR
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE, OBS_STR
 
 from cei_converters.dataset.essentials import Remains
-from cei_converters.dataset.locate import locate, locate_metadata
+from cei_converters.dataset.locate import locate, locate_metadata, read_info
 from cei_converters.dataset.metadata import METADATA_PATH, START, Metadata, restore_with
 from cei_converters.dataset.opening import find_metadata, has_flat_clouds
 from cei_converters.dataset.starts import find_starts
 from cei_converters.simulation.environment import check_arguments
 from cei_envs import environment_id, environment_ids
-from cei_envs.environment import CLOUD_POINTS, CEIEnv
+from cei_envs.environment import CAMERAS, CLOUD_POINTS, IMAGE_HEIGHT, IMAGE_WIDTH, CEIEnv
 from cei_envs.registration import tasks
 from cei_envs.rollout import make_rollout_env
 from cei_envs.simulation import CONTROL_HZ
 from cei_gym.embodiment import load_embodiment
 from cei_gym.errors import CEIError, unknown
 from cei_gym.pointcloud import CloudOptions
+from cei_gym.wrapper import PIXELS
 from lerobot_env_cei.processors import FlatClouds
 from lerobot_env_cei.workers import quick_start
 
 _OPTIONS = {
-    **{name: name for name in ("cameras", "depth_noise", "colours", "disable_env_checker")},
+    **{name: name for name in ("cameras", "depth_noise", "colours", "pixels", "disable_env_checker")},
     "max_episode_steps": "episode_length",
     "render_mode": "render",
 }
@@ -52,6 +53,9 @@ class CEIEnvConfig(EnvConfig):
             for yes, unless the dataset is no converted one.
         clouds: options of these clouds, as those of `cei-convert`; None for the dataset's, else the default.
         cameras, depth_noise, colours: see `cei_envs.environment.CEIEnv`.
+        pixels: show policies the pictures of these cameras, `observation.images.<camera>`; None for those that the dataset has of the environment's
+            cameras.
+        paint: paint the robot over itself in them, as the robot of a converted dataset is painted; None for yes, if the dataset is painted.
         arguments: others of the task's environment, by name, JSON such as {"middle_m": [0.0, 0.2]}; they win over the dataset's.
         episode_length: most steps of an episode.
         render: pictures for videos.
@@ -66,6 +70,8 @@ class CEIEnvConfig(EnvConfig):
     cameras: list[str] | None = None
     depth_noise: str | None = None
     colours: bool | None = None
+    pixels: bool | None = None
+    paint: bool | None = None
     arguments: dict[str, Any] = field(default_factory=dict[str, Any])
     episode_length: int = 400
     render: bool = True
@@ -79,7 +85,8 @@ class CEIEnvConfig(EnvConfig):
     )
 
     def __post_init__(self) -> None:
-        recorded, self._flat_clouds = (None, False) if self.dataset is None else _read(self.dataset)
+        found = (None, False, set[str]()) if self.dataset is None else _read(self.dataset)
+        recorded, self._flat_clouds, pictured = found
         self.task = _checked_task(self.task, recorded, self.dataset)
         if recorded is None:
             logging.warning(
@@ -98,15 +105,29 @@ class CEIEnvConfig(EnvConfig):
         self._augmentation = self.clouds or _recorded_clouds(recorded)
         task, name = _task_and_robot(self.task)
         entry = cast(type[CEIEnv], load_env_creator(tasks()[task].environment))
+        kwargs = self.gym_kwargs
+        cameras = kwargs.get("cameras", CAMERAS)
+        if self.pixels is None:
+            self.pixels = not pictured.isdisjoint(cameras)
+        if self.paint is None:
+            self.paint = self.pixels and self.augment and recorded is not None and _is_painted(recorded)
+        if self.paint and not (self.pixels and self.augment):
+            raise CEIError(
+                "--env.paint paints what --env.pixels shows, with --env.augment: turn both on, or leave it out."
+            )
         n = len(load_embodiment(name).home)
         points = self._augmentation.points if self.augment else CLOUD_POINTS
-        coloured = self.gym_kwargs.get("colours") and (self._augmentation.colours or not self.augment)
+        coloured = kwargs.get("colours") and (self._augmentation.colours or not self.augment)
         self.features = {
             ACTION: PolicyFeature(FeatureType.ACTION, (n,)),
             "agent_pos": PolicyFeature(FeatureType.STATE, (n,)),
             "point_cloud": PolicyFeature(FeatureType.STATE, (points, 6 if coloured else 3)),
             "environment_state": PolicyFeature(FeatureType.ENV, (len(entry.state_names),)),
         }
+        for camera in cameras if self.pixels else ():
+            size = kwargs.get("image_height", IMAGE_HEIGHT), kwargs.get("image_width", IMAGE_WIDTH), 3
+            self.features[f"{PIXELS}/{camera}"] = PolicyFeature(FeatureType.VISUAL, size)
+            self.features_map.setdefault(f"{PIXELS}/{camera}", f"{OBS_IMAGES}.{camera}")
 
     @property
     def gym_id(self) -> str:
@@ -124,11 +145,13 @@ class CEIEnvConfig(EnvConfig):
             "max_episode_steps": self.episode_length,
             "render_mode": "rgb_array" if self.render else None,
             "disable_env_checker": self.disable_env_checker,
+            **({"pixels": True} if self.pixels else {}),
         }
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, VectorEnv]]:
         """One vector environment of `n_envs`, in processes of their own or one after the other."""
-        make = partial(make_rollout_env, self.gym_id, self._augmentation if self.augment else None, **self.gym_kwargs)
+        clouds, paint = self._augmentation if self.augment else None, bool(self.paint)
+        make = partial(make_rollout_env, self.gym_id, clouds, paint, **self.gym_kwargs)
         makers = [make] * n_envs
         # The environments repeat their last step by themselves; a reset in the same step would cost a simulation.
         if not (use_async_envs and n_envs > 1):
@@ -143,18 +166,27 @@ class CEIEnvConfig(EnvConfig):
         return PolicyProcessorPipeline(steps=steps), PolicyProcessorPipeline(steps=[])
 
 
-def _read(dataset: str) -> tuple[Metadata, bool]:
-    """What is known of a dataset, where it starts as its own frames say if it was edited; and whether its clouds are flat."""
+def _read(dataset: str) -> tuple[Metadata, bool, set[str]]:
+    """What is known of a dataset, where it starts as its own frames say if it was edited; whether its clouds are flat; of which cameras it has
+    pictures."""
     root = locate_metadata(dataset)
     metadata = find_metadata(root)
     if metadata is None:
         raise CEIError(f"{dataset} is no dataset of CEI-Gym: {METADATA_PATH} is missing. {restore_with(root)}")
     flat = has_flat_clouds(root)
+    prefix = f"{OBS_IMAGES}."
+    pictured = {key.removeprefix(prefix) for key in read_info(root)["features"] if key.startswith(prefix)}
     if not isinstance(metadata, Remains) or metadata.clouds is None:
-        return metadata, flat
+        return metadata, flat, pictured
     starts = find_starts(root if (root / "data").is_dir() else locate(dataset, None))
     environment = replace(metadata.environment, kwargs=metadata.environment.kwargs | {START: starts})
-    return replace(metadata, environment=environment), flat
+    return replace(metadata, environment=environment), flat, pictured
+
+
+def _is_painted(recorded: Metadata) -> bool:
+    """Whether its pictures are painted, by the options of all that it was made by; an edited dataset does not say."""
+    cameras = [provenance.options.get("cameras") for provenance in recorded.provenances]
+    return all(isinstance(options, dict) and options.get("paint") is True for options in cameras)
 
 
 def _checked_task(task: str | None, recorded: Metadata | None, dataset: str | None) -> str:
