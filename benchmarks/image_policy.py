@@ -32,7 +32,7 @@ from cei_gym.environment import robot_environment
 
 TASK, SOURCE, TARGET, CAMERA = "PickCube", "Panda-PandaGripper", "IIWA-Inspire", "front"
 ARMS = "painted", "true", "source"
-DEMONSTRATIONS, VARIATION, EPISODE_LENGTH = 50, 0.25, 200
+VARIATION, EPISODE_LENGTH = 0.25, 200
 POLICY = {
     "type": "act",
     "pretrained_backbone_weights": "null",  # its ImageNet weights are on a hub
@@ -62,12 +62,12 @@ def script(name: str, log: Path, *options: str) -> None:
         )
 
 
-def converted(work: Path, paint: bool) -> DatasetConfig:
+def converted(work: Path, paint: bool, demonstrations: int) -> DatasetConfig:
     recorded, new = named(work, "recorded"), named(work, "painted" if paint else "source")
     assert recorded.root is not None and new.root is not None
     if not recorded.root.exists():
         env = f"CEI-{TASK}-{SOURCE}"
-        record_successes(RecordConfig(env, recorded.repo_id, recorded.root, DEMONSTRATIONS, 0, VARIATION, colours=True))
+        record_successes(RecordConfig(env, recorded.repo_id, recorded.root, demonstrations, 0, VARIATION, colours=True))
     if not new.root.exists():
         options = [
             *(f"--dataset.repo_id={recorded.repo_id}", f"--dataset.root={recorded.root}", f"--target={TARGET}"),
@@ -77,9 +77,9 @@ def converted(work: Path, paint: bool) -> DatasetConfig:
     return new
 
 
-def with_true_pictures(work: Path) -> DatasetConfig:
+def with_true_pictures(work: Path, demonstrations: int) -> DatasetConfig:
     """The painted dataset with pictures of the target's own simulation."""
-    painted, new = converted(work, paint=True), named(work, "true")
+    painted, new = converted(work, True, demonstrations), named(work, "true")
     assert new.root is not None
     if new.root.exists():
         return new
@@ -101,8 +101,13 @@ def with_true_pictures(work: Path) -> DatasetConfig:
     return new
 
 
-def successes(work: Path, arm: str, steps: int, batch_size: int, seeds: range) -> list[bool]:
-    dataset = with_true_pictures(work) if arm == "true" else converted(work, paint=arm == "painted")
+def dataset_of(work: Path, arm: str, demonstrations: int) -> DatasetConfig:
+    return (
+        with_true_pictures(work, demonstrations) if arm == "true" else converted(work, arm == "painted", demonstrations)
+    )
+
+
+def successes(work: Path, arm: str, dataset: DatasetConfig, steps: int, batch_size: int, seeds: range) -> list[bool]:
     trained, evaluated = work / "trained" / arm, work / "evaluated" / f"{arm}-{seeds[0]}"
     given = f"--dataset.repo_id={dataset.repo_id}", f"--dataset.root={dataset.root}"
     if not (trained / "checkpoints" / f"{steps:06d}").exists():
@@ -110,7 +115,7 @@ def successes(work: Path, arm: str, steps: int, batch_size: int, seeds: range) -
         rest = (
             f"--batch_size={batch_size}",
             f"--steps={steps}",
-            f"--save_freq={steps // 4}",
+            f"--save_freq={steps}",
             "--num_workers=0",
             "--seed=0",
         )
@@ -132,6 +137,7 @@ def main() -> None:
     parser.add_argument("--arms", default=",".join(ARMS))
     parser.add_argument("--seed", type=int, default=500)
     parser.add_argument("--episodes", type=int, default=20)
+    parser.add_argument("--demonstrations", type=int, default=50)
     parser.add_argument("--steps", type=int, default=5000)
     parser.add_argument("--batch_size", type=int, default=8)
     parser.add_argument("--work", type=Path, default=Path("outputs/image-policy"))
@@ -139,14 +145,15 @@ def main() -> None:
     args = parser.parse_args()
     seeds, found = range(args.seed, args.seed + args.episodes), {}
     for arm in args.arms.split(","):
-        found[arm] = successes(args.work, arm, args.steps, args.batch_size, seeds)
+        dataset = dataset_of(args.work, arm, args.demonstrations)
+        found[arm] = successes(args.work, arm, dataset, args.steps, args.batch_size, seeds)
         print(arm, sum(found[arm]), "of", len(seeds), flush=True)
-    found["blind"] = blindly(converted(args.work, paint=True), False, seeds, EPISODE_LENGTH)
+    found["blind"] = blindly(converted(args.work, True, args.demonstrations), False, seeds, EPISODE_LENGTH)
     print("blind", sum(found["blind"]), "of", len(seeds))
     if args.results is not None:
         counts = {arm: {"successes": sum(of), "trials": len(of)} for arm, of in found.items()}
         shared = {"task": TASK, "source": SOURCE, "target": TARGET, "policy": POLICY, "steps": args.steps}
-        made = {"demonstrations": DEMONSTRATIONS, "variation": VARIATION, "batch_size": args.batch_size}
+        made = {"demonstrations": args.demonstrations, "variation": VARIATION, "batch_size": args.batch_size}
         save(args.results / "image_policy.json", shared | made | {"arms": counts}, seeds=[seeds[0], seeds[-1]])
 
 

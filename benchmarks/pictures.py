@@ -30,7 +30,7 @@ from cei_gym.transfer import Transfer
 SOURCE = "Panda-PandaGripper"
 TASKS = "PickCube,StackCube,OpenDrawer"
 TARGETS = "UR5e-FourierRight,IIWA-Inspire,Kinova3-FourierLeft,Panda-RobotiqThreeFinger"
-SIZE = {"image_width": 320, "image_height": 240}
+SIZE: dict[str, Any] = {"image_width": 320, "image_height": 240}
 OFF, LAST_SEED, LOOKED_AT, SHOWN = 10, 999, 8, 6
 AWAY_M = 5.0
 FIGURE, SHEET = "pictures.json", "pictures.png"

@@ -175,6 +175,22 @@ def test_score(tmp_path: Path) -> None:
     assert depends_on(tmp_path, "reliability.png", "score.json").seeds == (0, 7)
 
 
+def test_live_pictures(tmp_path: Path) -> None:
+    run("live_pictures.py", tmp_path, "--tasks=PickCube", "--targets=IIWA-Inspire", "--seeds=3")
+    (row,) = json.loads((tmp_path / "results/live.json").read_text())["table"]
+    assert row["whole"] < 0.015 < row["unpainted"]
+    assert row["successes"] == 1
+    assert depends_on(tmp_path, "live.json", "live.png").seeds == (3, 3)
+
+
+def test_image_policy(tmp_path: Path) -> None:
+    few = "--demonstrations=1", "--steps=2", "--batch_size=2", "--episodes=1", "--seed=3"
+    printed = run("image_policy.py", tmp_path, "--arms=true", *few, f"--work={tmp_path / 'work'}")
+    assert "true 0 of 1" in printed
+    found = json.loads((tmp_path / "results/image_policy.json").read_text())["arms"]
+    assert found == {arm: {"successes": 0, "trials": 1} for arm in ("true", "blind")}
+
+
 def test_pictures(tmp_path: Path) -> None:
     run("pictures.py", tmp_path, "--tasks=PickCube", "--targets=IIWA-Inspire", "--seeds=3")
     (row,) = json.loads((tmp_path / "results/pictures.json").read_text())["table"]

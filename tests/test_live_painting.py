@@ -48,7 +48,9 @@ def impersonated() -> Iterator[Any]:
     transfer = Transfer(load_embodiment(SOURCE), load_embodiment(TARGET))
     transfer.fit([record_episode(home, seed, seed)[0] for seed in (0, 1)])
     home.close()
-    env = CrossEmbodimentWrapper(gym.make(f"CEI-PickCube-{TARGET}", pixels=True, **SIZE), impersonate=transfer)
+    env = CrossEmbodimentWrapper(
+        gym.make(f"CEI-PickCube-{TARGET}", pixels=True, colours=True, **SIZE), impersonate=transfer
+    )
     yield env
     env.close()
 
@@ -66,7 +68,7 @@ def play(env: Any, seed: int) -> Played:
             own.reset(seed=0, options={"agent_pos": qpos, "environment_state": which})[0]["pixels"]["front"]
             for which in (state, away)
         ]
-        seen.append(robot_environment(env)._observation()["pixels"]["front"])
+        seen.append(robot_environment(env).channels()["rgb"]["front"])
         shown.append(observation["pixels"]["front"])
         true.append(pictures[0])
         thing.append((pictures[0] != pictures[1]).any(axis=-1))
@@ -117,13 +119,13 @@ def test_where_what_is_seen_has_no_depth_pictures_are_painted_all_the_same(playe
 
 
 def test_a_robot_painted_over_itself_looks_the_same() -> None:
-    env: Any = CrossEmbodimentWrapper(gym.make(f"CEI-PickCube-{TARGET}", pixels=True, **SIZE), paint=True)
-    seen = env.env.unwrapped
+    env: Any = CrossEmbodimentWrapper(gym.make(f"CEI-PickCube-{TARGET}", pixels=True, colours=True, **SIZE), paint=True)
+    inner = robot_environment(env)
     observation, _ = env.reset(seed=0)
-    different = [off(observation["pixels"]["front"], seen._rgb["front"]).mean()]
+    different = [off(observation["pixels"]["front"], inner.rgb()["front"]).mean()]
     for _ in range(5):
         observation, *_ = env.step(env.action_space.sample())
-        different.append(off(observation["pixels"]["front"], seen._rgb["front"]).mean())
+        different.append(off(observation["pixels"]["front"], inner.rgb()["front"]).mean())
     assert env.observation_space.contains(observation)
     env.close()
     assert 0 < max(different) < 0.02

@@ -116,7 +116,7 @@ def test_documents_name_the_commit_of_each_figure_that_they_show() -> None:
 
 POLICIES = {"policy", *(f"{name}_policy" for name in ("real", "anchors", "modes"))}
 REPLAYS = {"replay", *(f"{name}_replay" for name in ("real", "anchors", "modes"))}
-CONVERTING = POLICIES | REPLAYS | {"augmentation", "scale", "transfer"}
+CONVERTING = POLICIES | REPLAYS | {"augmentation", "image_policy", "scale", "transfer"}
 
 
 @pytest.mark.parametrize(
@@ -125,10 +125,13 @@ CONVERTING = POLICIES | REPLAYS | {"augmentation", "scale", "transfer"}
         ("benchmarks/first_frame.py", {"first_frame"}),
         ("policies/lerobot_policy_dp3/unet.py", POLICIES | {"training"}),
         ("converters/cei_converters/conversion/steps.py", CONVERTING),
-        ("cei_gym/wrapper.py", POLICIES | {"observation", "impersonation"}),
+        ("cei_gym/wrapper.py", POLICIES | {"image_policy", "impersonation", "live_pictures", "observation"}),
         ("cei_gym/augmentation.py", {"anchors_replay", "anchors_policy", "augmentation"}),
-        ("cei_gym/errors.py", CONVERTING | {"direction_weight", "impersonation", "pictures", "things", "twin"}),
-        ("cei_gym/painting/light.py", {"camera_fit", "pictures"}),
+        (
+            "cei_gym/errors.py",
+            CONVERTING | {"direction_weight", "impersonation", "live_pictures", "pictures", "things", "twin"},
+        ),
+        ("cei_gym/painting/light.py", {"camera_fit", "image_policy", "live_pictures", "pictures"}),
         ("converters/cei_converters/cli/table.py", set()),
     ],
 )
@@ -363,7 +366,7 @@ def test_documents_are_marked_and_the_listing_says_where_marks_are_out_of_date(
     assert "cei_gym/wrapper.py" in captured.out
     assert shown in captured.out
     assert captured.err.count("\n") == 1
-    assert f"6 of {len(MEASURED)} figures are older than what they measure" in captured.err
+    assert f"8 of {len(MEASURED)} figures are older than what they measure" in captured.err
     assert document.read_text() == fresh
     assert command.main([*options, "--mark"]) == 0
     assert document.read_text() == text.format(names[0], "(`abc`)", names[1], f"(`abc`{OLDER})", names[2], "")

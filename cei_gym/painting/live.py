@@ -112,9 +112,10 @@ class LivePainter:
         return with_robot(scene, near_m, drawn, self._shown.colours, self._light)
 
     def _remember(self, picture: Array, depth_m: Array | None, where: Array) -> None:
-        self._behind[where], self._known[where] = picture[where], True
+        np.copyto(self._behind, picture, where=where[..., None])
+        self._known |= where
         if depth_m is not None:
-            self._behind_m[where] = depth_m[where]
+            np.copyto(self._behind_m, depth_m, where=where)
 
     def _carry(self, T_world_hand: Array, middle_world: Array, hidden: Array, holds: bool) -> None:
         """Take what is held out of what is remembered, when it is taken, and forget it once the place where it was left has been seen."""

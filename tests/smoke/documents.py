@@ -28,6 +28,7 @@ SMALLER = [
     (r"--batch_size=(128|64)\b", "--batch_size=4"),
     (r"--steps=100000", "--steps=2 --save_freq=2 --num_workers=0 --log_freq=1"),
     (r"--policy\.type=dp3", "--policy.type=dp3 --policy.size=small --policy.points=64 --policy.device=cpu"),
+    (r"--policy\.type=act", "--policy.type=act --policy.device=cpu --policy.pretrained_backbone_weights=null"),  # no network
     (r"--duration=5", "--duration=1"),
     (r"--eval\.n_episodes=20 --eval\.batch_size=2", "--eval.n_episodes=1 --eval.batch_size=1 --policy.device=cpu"),
     (r"--env\.type=cei", "--env.type=cei --env.episode_length=10"),
@@ -42,7 +43,7 @@ ELSEWHERE = {
     r"source \.venv/bin/activate": "the environment is another here",
     r"pip install .*": "the wheels are installed",
     r"uv pip install .*": "optional: what a benchmark compares with",
-    r"python benchmarks/(alignment|census|first_frame|observation|pictures|camera_fit|score|start_up|twin)\.py.*": "minutes; tests/test_benchmarks.py runs it smaller",
+    r"python benchmarks/(alignment|census|first_frame|image_policy|live_pictures|observation|pictures|camera_fit|score|start_up|twin)\.py.*": "minutes; tests/test_benchmarks.py runs it smaller",
     r"python benchmarks/camera\.py": "compares with MuJoCo's renderer, which needs a GL library",
     r"python benchmarks/scale\.py.*": "minutes however small; it records and converts by benchmarks/transfer.py, which is run",
     r"cei-robot show .*": "serves until it is ended; tests/test_robot_show.py opens it in a browser",

@@ -25,6 +25,7 @@ _CONVERSION = (
     *("converters/cei_converters/dataset/*", "!converters/cei_converters/dataset/card*.py"),
     *("!converters/cei_converters/dataset/license.py", "!converters/cei_converters/dataset/hub.py"),
 )
+_PAINTING = tuple(f"converters/cei_converters/conversion/{name}.py" for name in ("cameras", "painting"))
 _RECORD, _REPLAY = "converters/cei_converters/record.py", "converters/cei_converters/replay.py"
 
 
@@ -78,8 +79,15 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "benchmarks/census.py": ("cei_gym/embodiment/*", "benchmarks/census.py"),
     "benchmarks/direction_weight.py": (*_METHOD, *_RECORDED, "benchmarks/direction_weight.py"),
     "benchmarks/first_frame.py": (*_ALIGNMENT, "benchmarks/first_frame.py"),
+    "benchmarks/image_policy.py": (
+        *("cei_gym/*", "!cei_gym/impersonation.py", "!cei_gym/augmentation.py", *_RECORDED, *_CONVERSION, _RECORD),
+        *(*_PAINTING, "envs/lerobot_env_cei/*", "benchmarks/image_policy.py"),
+    ),
     "benchmarks/impersonation.py": (
         *("cei_gym/*", "!cei_gym/augmentation.py", _PICTURES, *_RECORDED, "benchmarks/impersonation.py"),
+    ),
+    "benchmarks/live_pictures.py": (
+        *("cei_gym/*", "!cei_gym/augmentation.py", *_RECORDED, "benchmarks/live_pictures.py", "benchmarks/pictures.py"),
     ),
     "benchmarks/observation.py": (
         *(*_CLOUDS, "cei_gym/wrapper.py", *_ENVIRONMENTS, "benchmarks/observation.py", "benchmarks/measure.py"),
