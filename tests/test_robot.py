@@ -435,7 +435,7 @@ def test_a_copy_of_the_checkpoint_knows_the_labs_cameras(
 
     for wrong, why in (
         ([*options, f"--new_policy={tmp_path / 'ours'}"], "ours already exists"),
-        ([options[0], f"--new_policy={tmp_path / 'more'}"], "--calibration and --new_policy go together"),
+        ([options[0], f"--new_policy={tmp_path / 'more'}"], "--calibration or --paint, and --new_policy, go together"),
         ([f"--policy={folder / 'iiwa'}", options[1], f"--new_policy={tmp_path / 'more'}"], "iiwa is no checkpoint"),
         ([f"--policy={tmp_path}"], "neither a checkpoint"),
     ):
@@ -443,5 +443,5 @@ def test_a_copy_of_the_checkpoint_knows_the_labs_cameras(
         assert why in capsys.readouterr().err
     (tmp_path / "cameras.yaml").write_text(CAMERA.format(name="wrist"))
     assert deploy.main([*options, f"--new_policy={tmp_path / 'more'}"]) == 1
-    assert "cameras.yaml has camera wrist; the policy's clouds are of front" in capsys.readouterr().err
+    assert "cameras.yaml has camera wrist; the policy's data are of front" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cameras.yaml", "needs.json", "ours"]

@@ -28,12 +28,14 @@ class SimulatedRobotConfig(RobotConfig):
         env: `CEI-<Task>-<Arm>-<EndEffector>`.
         stands_at: checkpoint or dataset where whose demonstrations start it is put before it is connected; none for its home. A lab drives there.
         seed: of where objects lie.
+        pictures: whether its camera gives pictures beside depth.
         lacks: a joint that its hardware does not have, to see what is said.
     """
 
     env: str
     stands_at: str | None = None
     seed: int = 0
+    pictures: bool = False
     lacks: str | None = None
 
 
@@ -61,7 +63,8 @@ class SimulatedRobot(Robot):
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
-        return {**self.action_features, "front_depth": (120, 160, 1)}
+        pictures = {"front": (120, 160, 3)} if self.config.pictures else {}
+        return {**self.action_features, "front_depth": (120, 160, 1), **pictures}
 
     @property
     def is_connected(self) -> bool:
@@ -76,7 +79,7 @@ class SimulatedRobot(Robot):
     def configure(self) -> None: ...
 
     def connect(self, calibrate: bool = True) -> None:
-        self._env = gym.make(self.config.env)
+        self._env = gym.make(self.config.env, pixels=self.config.pictures)
         place = self.config.stands_at
         options = None if place is None else {"agent_pos": TrainedOn.load(Path(place)).starts[0].astype(np.float32)}
         self._seen, _ = self._env.reset(seed=self.config.seed, options=options)
@@ -91,7 +94,8 @@ class SimulatedRobot(Robot):
         assert self._env is not None
         depth_mm = np.rint(self._env.get_wrapper_attr("depth_m")()["front"] * 1000).astype(np.uint16)[..., None]
         values = [float(self._seen["agent_pos"][q]) * self._per_si(q) for q in self._joints]
-        return {**dict(zip(self.action_features, values, strict=True)), "front_depth": depth_mm}
+        pictures = self._seen["pixels"] if self.config.pictures else {}
+        return {**dict(zip(self.action_features, values, strict=True)), "front_depth": depth_mm, **pictures}
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         assert self._env is not None

@@ -8,19 +8,17 @@ import numpy as np
 import torch
 from lerobot.configs import PipelineFeatureType, PolicyFeature
 from lerobot.processor import ObservationProcessorStep, ProcessorStepRegistry, RobotObservation
-from lerobot.utils.constants import OBS_IMAGES, OBS_STATE
-from torch import Tensor
+from lerobot.utils.constants import OBS_STATE
 
-from cei_converters.dataset.schema import DEPTH_PREFIX, POINT_CLOUD
+from cei_converters.dataset.schema import POINT_CLOUD
 from cei_gym.arrays import Array
-from cei_gym.demonstration import Camera, Scene
+from cei_gym.demonstration import Scene
 from cei_gym.embodiment import Embodiment
 from cei_gym.errors import CEIError
 from cei_gym.pointcloud import CloudSynthesiser, crop, frame_points
+from lerobot_robot_cei.images import depth_m_of, joints_of, picture_of
 from lerobot_robot_cei.trained_on import STEP, TrainedOn
 
-_MM_PER_M = 1000
-_DEEPEST_M = 60.0
 _SUPPORT_M = 0.03  # the table's top lies this far below the workspace at most
 _FEWEST = 20
 
@@ -66,14 +64,9 @@ class RobotClouds(ObservationProcessorStep):
         if POINT_CLOUD in observation:
             return observation
         scene = self._known.metadata.scene
-        depth = {camera.name: self._depth_m(camera, observation) for camera in scene.cameras}
-        rgb = {camera.name: self._picture(camera, observation) for camera in scene.cameras} if self._coloured else {}
-        states = np.asarray(observation[OBS_STATE].cpu(), float)
-        if states.ndim != 2 or states.shape[1] != len(self._known.joint_names):
-            raise CEIError(
-                f"{OBS_STATE} has shape {states.shape}; the policy knows {len(self._known.joint_names)} joints: "
-                f"{', '.join(self._known.joint_names)}. Use --robot.type=cei."
-            )
+        depth = {camera.name: depth_m_of(camera, observation) for camera in scene.cameras}
+        rgb = {camera.name: picture_of(camera, observation) for camera in scene.cameras} if self._coloured else {}
+        states = joints_of(observation, self._known)
         clouds = [
             self._cloud(scene, {k: v[i] for k, v in depth.items()}, {k: v[i] for k, v in rgb.items()}, state)
             for i, state in enumerate(states)
@@ -116,43 +109,6 @@ class RobotClouds(ObservationProcessorStep):
         if not synthesiser.options.swap:
             return synthesiser.keep(points, scene)
         return synthesiser.add(synthesiser.remove(points, scene, qpos), scene, qpos)
-
-    def _depth_m(self, camera: Camera, observation: RobotObservation) -> Array:
-        """(B, H, W) float32, m; of whole millimetres in float32, as datasets have it: other roundings would order points otherwise."""
-        keys = [f"{OBS_IMAGES}.{camera.name}_depth", f"{DEPTH_PREFIX}{camera.name}", f"{OBS_IMAGES}.{camera.name}"]
-        images = self._image(camera, observation, keys, 1)
-        if not images.is_floating_point():
-            return (images.numpy().astype(np.float32)) / np.float32(_MM_PER_M)
-        if images.numel() and float(images.max()) > _DEEPEST_M:
-            raise CEIError(
-                f"depth of camera {camera.name!r} reaches {float(images.max()):g}; as fractions it should be in m."
-            )
-        return images.numpy().astype(np.float32)
-
-    def _picture(self, camera: Camera, observation: RobotObservation) -> Array:
-        """(B, H, W, 3) uint8."""
-        images = self._image(camera, observation, [f"{OBS_IMAGES}.{camera.name}"], 3)
-        return (images * 255).round().to(torch.uint8).numpy()
-
-    @staticmethod
-    def _image(camera: Camera, observation: RobotObservation, keys: list[str], channels: int) -> Tensor:
-        """(B, H, W) or (B, H, W, 3) of the first of these keys whose image has so many channels."""
-        size = (camera.height, camera.width)
-        shown = []
-        for key in keys:
-            if key not in observation:
-                continue
-            image = torch.as_tensor(observation[key]).cpu()
-            if image.ndim == 4 and image.shape[1:] == (channels, *size):
-                image = image.permute(0, 2, 3, 1)
-            if image.ndim == 4 and image.shape[1:] == (*size, channels):
-                return image[..., 0] if channels == 1 else image
-            shown.append(f"{key} {tuple(image.shape[1:])}")
-        here = [key for key in observation if key.startswith((OBS_IMAGES, DEPTH_PREFIX))]
-        raise CEIError(
-            f"camera {camera.name!r} of the policy's data gives images of {camera.width}x{camera.height}, {channels} channel(s), as "
-            f"{keys[0]}; here is {', '.join(shown) or ', '.join(here) or 'no picture'}."
-        )
 
 
 def _blind(points: Array, scene: Scene) -> str | None:

@@ -24,6 +24,8 @@ from cei_gym.untrusted import load_json
 
 STEP = "cei_clouds"
 """What the step is called in a checkpoint."""
+PICTURES_STEP = "cei_pictures"
+"""What the step that paints pictures is called there."""
 STEPS_PATH = "policy_preprocessor.json"
 """Where a checkpoint has its steps."""
 _M_PER_RAD = 0.1  # a gripper's fingers go 4 cm in all
@@ -87,13 +89,15 @@ class TrainedOn:
             raise CEIError(f"{path} is neither a checkpoint (with {STEPS_PATH}) nor a dataset (with {INFO_PATH}).")
         try:
             steps = load_json((path / STEPS_PATH).read_text())["steps"]
-            found = [step["config"]["trained_on"] for step in steps if step.get("registry_name") == STEP]
+            found = [
+                step["config"]["trained_on"] for step in steps if step.get("registry_name") in (STEP, PICTURES_STEP)
+            ]
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise CEIError(f"{path / STEPS_PATH} cannot be read: {one_line(error)}.") from error
         if not found:
             raise CEIError(
-                f"{path / STEPS_PATH} has no step {STEP!r}: the policy was trained on other data, or without lerobot_robot_cei. "
-                "Name the dataset that it was trained on instead."
+                f"{path / STEPS_PATH} has no step {STEP!r}: the policy looks at no clouds, was trained on other data, or without lerobot_robot_cei. "
+                "Name the dataset that it was trained on instead (cei-deploy: --trained_on)."
             )
         return cls.decode(found[0], f"{path.name}/{STEPS_PATH}")
 

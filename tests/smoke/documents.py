@@ -28,7 +28,10 @@ SMALLER = [
     (r"--batch_size=(128|64)\b", "--batch_size=4"),
     (r"--steps=100000", "--steps=2 --save_freq=2 --num_workers=0 --log_freq=1"),
     (r"--policy\.type=dp3", "--policy.type=dp3 --policy.size=small --policy.points=64 --policy.device=cpu"),
-    (r"--policy\.type=act", "--policy.type=act --policy.device=cpu --policy.pretrained_backbone_weights=null"),  # no network
+    (
+        r"--policy\.type=act",
+        "--policy.type=act --policy.device=cpu --policy.pretrained_backbone_weights=null",
+    ),  # no network
     (r"--duration=5", "--duration=1"),
     (r"--eval\.n_episodes=20 --eval\.batch_size=2", "--eval.n_episodes=1 --eval.batch_size=1 --policy.device=cpu"),
     (r"--env\.type=cei", "--env.type=cei --env.episode_length=10"),
