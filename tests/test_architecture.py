@@ -152,8 +152,10 @@ LAYERS = {
         "behind",
         "light",
         "carried",
+        "composite",
         "calibrated",
         "painter",
+        "live",
         "clicks",
         "camera_fit",
         "edges",
@@ -246,7 +248,7 @@ LAYERS = {
         ),
         "original",
     ],
-    "lerobot_robot_cei": ["trained_on", "joints", "config_cei", "cei", "clouds", "deploy"],
+    "lerobot_robot_cei": ["trained_on", "joints", "config_cei", "cei", "images", "clouds", "pictures", "deploy"],
 }
 """The rooms of every package, each above those that it may know."""
 

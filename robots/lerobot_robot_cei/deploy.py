@@ -34,8 +34,7 @@ EXAMPLE = f"""example:
 
 @dataclass
 class DeployConfig:
-    """Say what a robot must offer for a policy to act on it; with --calibration, copy its checkpoint with the robot's own cameras in it; with --paint, with a
-    step that paints the robot in their pictures."""
+    """Say what a robot must offer for a policy to act on it; copy its checkpoint with one's own cameras (--calibration), or pictures painted (--paint)."""
 
     policy: Path  # Its checkpoint, .../pretrained_model.
     calibration: Path | None = None  # Where the robot's own cameras, base and workspace are; see below.
