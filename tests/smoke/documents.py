@@ -58,6 +58,7 @@ ELSEWHERE = {
     r"cei-(convert|replay) .*--dataset\.repo_id=(lab|me)/lift .*": "needs a file of robosuite's; tests/test_robosuite_tasks.py makes one",
     r"CEI_GYM_PACKAGE_PATH=\S+ cei-convert .*--target=XArm7-ShadowHand .*": "needs ../shared/robots; tests/test_target_pose_auto.py runs another",
     r"cei-calibrate .*--by=outlines .*": "needs ../shared; tests/test_outlines.py runs it",
+    r"cei-(convert|view) .*--source\.root=data/g1 .*|cei-convert .*--dataset\.root=data/g1 .*": "needs ../shared; tests/test_outlines.py finds its camera",
     r"CEI_GYM_PACKAGE_PATH=\S+ python benchmarks/pads\.py": "needs ../shared/robots; a picture",
     r"cei-benchmark replay --tasks=(Lift,|Door |PickCube,Pick-Can).*": "half an hour; tests/test_benchmark_command.py runs it smaller",
     r"cei-benchmark replay (--tables=main|--seed=1000 --results=\S+)": "an hour; tests/test_benchmark_command.py runs it smaller",
