@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from measure import save
-from pictures import AWAY_M, LAST_SEED, OFF, SHOWN, SIZE, SOURCE, TARGETS, TASKS, decibels, similarity
+from pictures import AWAY_M, LAST_SEED, OFF, SHOWN, SOURCE, TARGETS, TASKS, WIDTH, decibels, similarity, size
 from PIL import Image
 
 import cei_gym  # noqa: F401  (registers the environments)
@@ -31,11 +31,11 @@ FIGURE, SHEET = "live.json", "live.png"
 
 def play(task: str, target: str, seeds: list[int]) -> tuple[dict[str, Any], np.ndarray]:
     """The figures of a task and a target, and rows of pictures of the first seed: seen, painted, true."""
-    own: Any = gym.make(f"CEI-{task}-{SOURCE}", pixels=True, **SIZE)
+    own: Any = gym.make(f"CEI-{task}-{SOURCE}", pixels=True, **size(WIDTH))
     transfer = Transfer(load_embodiment(SOURCE), load_embodiment(target))
     transfer.fit([record_episode(own, seed, seed)[0] for seed in FITTED_SEEDS])
     env: Any = CrossEmbodimentWrapper(
-        gym.make(f"CEI-{task}-{target}", pixels=True, colours=True, **SIZE), impersonate=transfer
+        gym.make(f"CEI-{task}-{target}", pixels=True, colours=True, **size(WIDTH)), impersonate=transfer
     )
     parts: dict[str, list[np.ndarray]] = {"whole": [], "unpainted": [], "held": []}
     figures: dict[str, list[float]] = {"ssim": [], "psnr": []}
@@ -96,7 +96,9 @@ def main() -> None:
         args.results.mkdir(parents=True, exist_ok=True)
         picture = Image.fromarray(np.concatenate(sheet))
         picture.resize((picture.width // 2, picture.height // 2)).save(args.results / SHEET)
-        save(args.results / FIGURE, {"table": table, "size": SIZE, "off": OFF}, SHEET, seeds=[seeds[0], seeds[-1]])
+        save(
+            args.results / FIGURE, {"table": table, "size": size(WIDTH), "off": OFF}, SHEET, seeds=[seeds[0], seeds[-1]]
+        )
 
 
 if __name__ == "__main__":

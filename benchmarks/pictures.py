@@ -1,6 +1,6 @@
 """How painted pictures differ from the true ones: the target's own simulation, with joints and objects as they are.
 
-usage: python benchmarks/pictures.py [--tasks PickCube,StackCube,OpenDrawer] [--targets UR5e-FourierRight,...] [--seeds 0,1] [--results FOLDER]
+usage: python benchmarks/pictures.py [--tasks PickCube,StackCube,OpenDrawer] [--targets UR5e-FourierRight,...] [--seeds 0,1] [--width 320] [--results FOLDER]
 
 The camera is known and the renderer the project's own. Shares are of pixels that are off by more than 10 of 255 in some channel. Parts of a picture: what the
 source covered and the target does not; the target; what is carried, from when it is taken; the rest. Pictures as they pass through unpainted, which
@@ -30,14 +30,17 @@ from cei_gym.transfer import Transfer
 SOURCE = "Panda-PandaGripper"
 TASKS = "PickCube,StackCube,OpenDrawer"
 TARGETS = "UR5e-FourierRight,IIWA-Inspire,Kinova3-FourierLeft,Panda-RobotiqThreeFinger"
-SIZE: dict[str, Any] = {"image_width": 320, "image_height": 240}
+WIDTH = 320
 OFF, LAST_SEED, LOOKED_AT, SHOWN = 10, 999, 8, 6
 AWAY_M = 5.0
-FIGURE, SHEET = "pictures.json", "pictures.png"
 
 
-def record(task: str, seeds: list[int]) -> list[Demonstration]:
-    env = open_environment(f"CEI-{task}-{SOURCE}", colours=True, **SIZE)
+def size(width: int) -> dict[str, Any]:
+    return {"image_width": width, "image_height": 3 * width // 4}
+
+
+def record(task: str, seeds: list[int], width: int) -> list[Demonstration]:
+    env = open_environment(f"CEI-{task}-{SOURCE}", colours=True, **size(width))
     found = [record_episode(env, seed, seed)[0] for seed in seeds]
     env.close()
     return found
@@ -74,7 +77,7 @@ def decibels(one: Array, other: Array) -> float:
     return float(10 * np.log10(255**2 / max(np.mean((one.astype(float) - other) ** 2), 1e-9)))
 
 
-def measure(task: str, target: str, demonstrations: list[Demonstration]) -> tuple[dict[str, Any], Array]:
+def measure(task: str, target: str, demonstrations: list[Demonstration], width: int) -> tuple[dict[str, Any], Array]:
     """The figures of a task and a target, and rows of pictures: recorded, painted, true."""
     source, body = load_embodiment(SOURCE), load_embodiment(target)
     transfer = Transfer(source, body)
@@ -86,7 +89,7 @@ def measure(task: str, target: str, demonstrations: list[Demonstration]) -> tupl
     samples = np.stack([d.rgb["front"][t] for d, t in looked])
     painter.plate = Plate.median(samples, painter.covered(np.stack([d.qpos[t] for d, t in looked])))
     views = [RobotView(robot, base, camera) for robot in (source, body)]
-    env = open_environment(f"CEI-{task}-{target}", colours=True, **SIZE)
+    env = open_environment(f"CEI-{task}-{target}", colours=True, **size(width))
     parts: dict[str, list[Array]] = {}
     figures: dict[str, list[float]] = {"ssim": [], "psnr": [], "psnr_robot": [], "ms": []}
     rows = np.empty(0)
@@ -137,6 +140,7 @@ def main() -> None:
     parser.add_argument("--tasks", default=TASKS)
     parser.add_argument("--targets", default=TARGETS)
     parser.add_argument("--seeds", default="0,1")
+    parser.add_argument("--width", type=int, default=WIDTH, help="of pictures, which are three quarters as high")
     parser.add_argument("--results", type=Path)
     args = parser.parse_args()
     seeds = [int(seed) for seed in args.seeds.split(",")]
@@ -144,17 +148,20 @@ def main() -> None:
         parser.error(f"seeds are those of development, up to {LAST_SEED}")
     table, sheet = [], []
     for task in args.tasks.split(","):
-        demonstrations = record(task, seeds)
+        demonstrations = record(task, seeds, args.width)
         for target in args.targets.split(","):
-            figures, rows = measure(task, target, demonstrations)
+            figures, rows = measure(task, target, demonstrations, args.width)
             table.append({"task": task, "target": target, **figures})
             print(task, target, {name: value and round(value, 4) for name, value in figures.items()}, flush=True)
             sheet += [rows] if target == args.targets.split(",")[0] else []
     if args.results is not None:
         args.results.mkdir(parents=True, exist_ok=True)
-        picture = Image.fromarray(np.concatenate(sheet))
-        picture.resize((picture.width // 2, picture.height // 2)).save(args.results / SHEET)
-        save(args.results / FIGURE, {"table": table, "size": SIZE, "off": OFF}, SHEET, seeds=[seeds[0], seeds[-1]])
+        picture, ending = Image.fromarray(np.concatenate(sheet)), "" if args.width == WIDTH else f"_{args.width}"
+        names = [f"pictures{ending}.{kind}" for kind in ("json", "png")]
+        picture.thumbnail((WIDTH * SHOWN // 2, picture.height))
+        picture.save(args.results / names[1])
+        result = {"table": table, "size": size(args.width), "off": OFF}
+        save(args.results / names[0], result, names[1], seeds=[seeds[0], seeds[-1]])
 
 
 if __name__ == "__main__":
