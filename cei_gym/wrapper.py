@@ -100,7 +100,7 @@ class CrossEmbodimentWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs, gym.u
         self._impersonation = None if impersonate is None else Impersonation(impersonate, np.eye(4), dt_s)
         if paint is None:
             paint = impersonate is not None and PIXELS in spaces
-        self._painters: dict[str, LivePainter] = _painters(spaces, acting, shown, self._scene) if paint else {}
+        self._painters: dict[str, LivePainter] = _painters(spaces, acting, shown, self._scene, dt_s) if paint else {}
         spaces[cloud_key] = _cloud_space(self._scene.workspace_world, clouds, spaces[cloud_key])
         if impersonate is not None:
             spaces[joints_key] = gym.spaces.Box(-np.inf, np.inf, (len(shown.home),), np.float32)
@@ -207,7 +207,7 @@ def _cloud_space(workspace_world: Array, clouds: CloudOptions, given: gym.Space[
 
 
 def _painters(
-    spaces: dict[str, gym.Space[Any]], acting: Embodiment, shown: Embodiment, scene: Scene
+    spaces: dict[str, gym.Space[Any]], acting: Embodiment, shown: Embodiment, scene: Scene, dt_s: float | None
 ) -> "dict[str, LivePainter]":
     from cei_gym.painting import LivePainter  # OpenCV, scipy
 
@@ -226,4 +226,6 @@ def _painters(
                 f"{PIXELS!r} of {name} are {space.dtype} of {space.shape}, where its calibration is of uint8, {size}."
             )
     base = scene.T_world_base
-    return {name: LivePainter(acting, shown, base, base, cameras[name], scene.support_z_m) for name in of_cameras}
+    return {
+        name: LivePainter(acting, shown, base, base, cameras[name], scene.support_z_m, dt_s=dt_s) for name in of_cameras
+    }

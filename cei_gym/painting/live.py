@@ -15,7 +15,7 @@ from cei_gym.painting.behind import Plate
 from cei_gym.painting.carried import HAND_M, LEAST_PIXELS, Flat, Layer, near_hand
 from cei_gym.painting.composite import completed, fineness, grown, with_layers, with_robot
 from cei_gym.painting.light import Light
-from cei_gym.painting.view import Drawn, RobotView
+from cei_gym.painting.view import Drawn, RobotView, delayed
 from cei_gym.rendering import unproject
 
 _LIT_EVERY, _MOST_LIT = 8, 8  # pictures between those that light is read from, and how many of them
@@ -36,9 +36,10 @@ class LivePainter:
         support_z_m: height of the surface that objects lie on, in the world.
         margin_px: around the acting robot's silhouette, what is taken out with it.
         plate: what is behind robots, as pictures of before show it.
+        dt_s: time between pictures; needed where they trail the joints (`camera.lag_s`): robots are then drawn at the joints of that much earlier.
 
     Raises:
-        CEIError: the camera's pictures trail the joints, which is heeded in whole episodes only.
+        CEIError: the camera's pictures trail the joints, and the time between them is not given.
         MissingExtra: OpenCV is not installed.
     """
 
@@ -52,12 +53,14 @@ class LivePainter:
         support_z_m: float,
         margin_px: float = 2.0,
         plate: Plate | None = None,
+        dt_s: float | None = None,
     ) -> None:
         extras.require_module("painting pictures", "cv2")
-        if camera.lag_s:
+        if camera.lag_s and not dt_s:
             raise CEIError(
-                f"pictures of {camera.name} trail the joints by {camera.lag_s:g} s; live, they are not painted."
+                f"pictures of {camera.name} trail the joints by {camera.lag_s:g} s; give the time between them (dt_s) for them to be painted."
             )
+        self._lag_frames = camera.lag_s / dt_s if dt_s else 0.0
         self.camera, self.margin_px, self.plate = camera, margin_px, plate
         self._support_z_m, self._hand = support_z_m, acting.end_effector_root
         self._acting = RobotView(acting, T_world_acting, camera)
@@ -73,6 +76,7 @@ class LivePainter:
         self._count, self._lit = 0, list[tuple[Drawn, Array]]()
         self._light, self._finer = Light.assumed(), 1
         self._held, self._carried = False, None
+        self._past: list[tuple[Array, Array]] = []
 
     def __call__(
         self, picture: Array, qpos: Array, shown_qpos: Array, depth_m: Array | None = None, holds: bool = False
@@ -89,6 +93,7 @@ class LivePainter:
         Returns:
             (H, W, 3) uint8.
         """
+        qpos, shown_qpos = self._in_the_picture(qpos, shown_qpos)
         acting = self._acting.draw(qpos)
         silhouette = np.zeros((self.camera.height, self.camera.width), bool)
         silhouette[acting.part] = acting.geom_id >= 0
@@ -110,6 +115,12 @@ class LivePainter:
         layers = [layer.hard() for layer in layers] if self._finer == 1 else layers
         near_m = with_layers(scene, np.flatnonzero(robot), layers, depth_m)
         return with_robot(scene, near_m, drawn, self._shown.colours, self._light)
+
+    def _in_the_picture(self, qpos: Array, shown_qpos: Array) -> tuple[Array, Array]:
+        """Joints as a picture that trails them shows them."""
+        self._past = [*self._past, (qpos, shown_qpos)][-(int(np.ceil(abs(self._lag_frames))) + 1) :]
+        now, shown = (delayed(np.stack(joints), self._lag_frames)[-1] for joints in zip(*self._past, strict=True))
+        return now, shown
 
     def _remember(self, picture: Array, depth_m: Array | None, where: Array) -> None:
         np.copyto(self._behind, picture, where=where[..., None])

@@ -104,5 +104,7 @@ class RobotPictures(ObservationProcessorStep):
         if (index, camera.name) not in self._painters:
             robot, scene = self._known.embodiment(), self._known.metadata.scene
             base = scene.T_world_base
-            self._painters[index, camera.name] = LivePainter(robot, robot, base, base, camera, scene.support_z_m)
+            self._painters[index, camera.name] = LivePainter(
+                robot, robot, base, base, camera, scene.support_z_m, dt_s=1 / self._known.fps
+            )
         return self._painters[index, camera.name](picture, qpos, qpos, depth_m)
