@@ -188,6 +188,7 @@ LAYERS = {
             "quality",
             "search",
             "trials",
+            "sample",
             "starting",
             "common",
             "verify",

@@ -14,6 +14,7 @@ from conversions import record_cubes, records
 
 from cei_converters import convert, replay
 from cei_converters.conversion.refine import RefineOptions
+from cei_converters.conversion.sample import Sample
 from cei_converters.conversion.starting import choose_start
 from cei_converters.conversion.verdict import Verdict, sentence, summarise
 from cei_converters.conversion.verify import Verifier, VerifyOptions
@@ -620,12 +621,12 @@ def test_another_start_has_to_be_confirmed(transfer: Transfer, folder: Path) -> 
 
     done: list[int] = []
     refine = RefineOptions(enabled=True, starts=3)
-    assert choose_start(transfer, Shaken(lucky), recorded, refine, done=done.append) is None
+    assert choose_start(Sample(transfer, Shaken(lucky), recorded), refine, done.append) is None
     assert sum(done) == 2  # the second holds in all that choose
     stage = Shaken(lambda *_: True)
-    assert choose_start(transfer, stage, recorded, refine) is None
+    assert choose_start(Sample(transfer, stage, recorded), refine) is None
     assert len(stage.played) == 4
-    assert choose_start(transfer, Shaken(lambda *_: False), recorded, refine) is None
+    assert choose_start(Sample(transfer, Shaken(lambda *_: False), recorded), refine) is None
 
 
 def test_what_a_chosen_start_is_compared_with_is_looked_at_to_the_end(transfer: Transfer, folder: Path) -> None:
@@ -638,6 +639,6 @@ def test_what_a_chosen_start_is_compared_with_is_looked_at_to_the_end(transfer: 
         alike = moved.qpos.shape == first.shape and np.abs(moved.qpos - first).max() < 1e-4
         return not alike or moved.index == 4
 
-    chosen = choose_start(transfer, Shaken(accepts), shown, RefineOptions(enabled=True))
+    chosen = choose_start(Sample(transfer, Shaken(accepts), shown), RefineOptions(enabled=True))
     assert chosen is not None
     assert (chosen.start, chosen.held, chosen.best_held, chosen.tried) == (1, 1.0, pytest.approx(0.2), 2)

@@ -6,44 +6,34 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cei_converters.conversion.refine import RefineOptions
+from cei_converters.conversion.sample import BETTER, Sample
 from cei_converters.conversion.search import Sampled
-from cei_converters.conversion.starting import BETTER
 from cei_converters.conversion.trials import Trials
 from cei_gym.alignment.contact.correction import Correction
-from cei_gym.demonstration import Demonstration
 from cei_gym.transfer import Attempt, Transfer
 
 if TYPE_CHECKING:
-    from cei_converters.simulation.stage import Stage
     from cei_gym.transfer.aligned import Aligned
 
 
 def common_correction(
-    transfer: Transfer,
-    stage: "Stage",
-    demonstrations: Sequence[Demonstration],
-    options: RefineOptions,
-    allow_unreachable: bool = False,
-    done: Callable[[int], None] = lambda _: None,
+    sample: Sample, options: RefineOptions, done: Callable[[int], None] = lambda _: None
 ) -> Correction | None:
-    """Search one by rollouts of some episodes, each as it is and perturbed once.
+    """Search one by rollouts of some episodes.
 
     Args:
-        transfer: fitted.
-        stage: the target's environment.
-        demonstrations: of the source, spread over the dataset.
+        sample: the episodes.
         options: of refinement.
-        allow_unreachable: whether what is out of reach somewhere is replayed.
         done: called with how many generations more are done, of `options.generations`.
 
     Returns:
         None where episodes hold well enough as they are, or nothing holds clearly better.
     """
-    aligned = [transfer.aligned(demonstration) for demonstration in demonstrations]
+    aligned = [sample.transfer.aligned(demonstration) for demonstration in sample.demonstrations]
     aligned = [each for each in aligned if each.holds]
     if not aligned or not options.generations:
         return None
-    judged = _Judged(transfer, Trials(stage, 1, allow_unreachable), aligned)
+    judged = _Judged(sample.transfer, sample.trials(), aligned)
     plain = judged.share(None)
     if plain >= options.robust:
         return None

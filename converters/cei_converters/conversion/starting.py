@@ -1,21 +1,15 @@
 """From which start all episodes of a dataset follow, by rollouts: starts that follow as well may hold nothing, or everything."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cei_converters.conversion.refine import RefineOptions
+from cei_converters.conversion.sample import BETTER, Sample
 from cei_converters.conversion.trials import Trials
 from cei_gym.demonstration import Demonstration
-from cei_gym.transfer import Attempt, Transfer
-
-if TYPE_CHECKING:
-    from cei_converters.conversion.refine import RefineOptions
-    from cei_converters.simulation.stage import Stage
-
-BETTER = 0.1
-"""A share of replays by which what is chosen holds better; less may be luck."""
+from cei_gym.transfer import Attempt
 
 _HOPELESS = 3  # episodes that fail in a row from the first: of starts that are worth having one in a hundred does so
 
@@ -43,67 +37,55 @@ class Chosen:
         )
 
 
-def choose_start(
-    transfer: Transfer,
-    stage: "Stage",
-    demonstrations: Sequence[Demonstration],
-    options: "RefineOptions",
-    allow_unreachable: bool = False,
-    done: Callable[[int], None] = lambda _: None,
-) -> Chosen | None:
-    """Try starts on some episodes, each as it is and perturbed once; those that cannot do better any more are given up.
+def choose_start(sample: Sample, options: RefineOptions, done: Callable[[int], None] = lambda _: None) -> Chosen | None:
+    """Try starts on some episodes; those that cannot do better any more are given up.
 
     Args:
-        transfer: fitted.
-        stage: the target's environment.
-        demonstrations: of the source, spread over the dataset.
+        sample: the episodes.
         options: of refinement.
-        allow_unreachable: whether what is out of reach somewhere is replayed.
         done: called with how many starts more are done, of `options.starts`.
 
     Returns:
         None where episodes hold well enough from the start that follows best, or no other holds clearly better. Of several modes each has its own
         start, and none is chosen.
     """
+    transfer, trials = sample.transfer, sample.trials()
     tried = min(options.starts, len(transfer.finalists))
-    if tried < 2 or len(transfer.basins) != 1 or not demonstrations:
+    if tried < 2 or len(transfer.basins) != 1 or not sample.demonstrations:
         return None
-    trials = Trials(stage, 1, allow_unreachable)
-    by_start = [_held(transfer, trials, demonstrations, 0)]
+    by_start = [_held(sample, trials, 0)]
     done(1)
     if by_start[0] >= options.robust:
         return None
     for start in range(1, tried):
-        by_start.append(_held(transfer, trials, demonstrations, start, max(by_start)))
+        by_start.append(_held(sample, trials, start, max(by_start)))
         done(1)
         if by_start[-1] >= options.robust:
             break
     chosen = int(np.argmax(by_start))
     if by_start[chosen] < by_start[0] + BETTER:
         return None
-    confirmed = [_confirmed(transfer, trials, demonstrations, start) for start in (chosen, 0)]
+    confirmed = [_confirmed(sample, trials, start) for start in (chosen, 0)]
     return (
         Chosen(chosen, by_start[chosen], by_start[0], len(by_start)) if confirmed[0] >= confirmed[1] + BETTER else None
     )
 
 
-def _held(
-    transfer: Transfer, trials: Trials, demonstrations: Sequence[Demonstration], start: int, least: float | None = None
-) -> float:
+def _held(sample: Sample, trials: Trials, start: int, least: float | None = None) -> float:
     """Share of replays that hold from a start, in the mean over episodes. With `least`, 0 as soon as it cannot be over that, or seems hopeless."""
-    held, n = 0.0, len(demonstrations)
-    for i, demonstration in enumerate(demonstrations):
-        held += trials.judge(*_moved(transfer, demonstration, start)).share
+    held, n = 0.0, len(sample.demonstrations)
+    for i, demonstration in enumerate(sample.demonstrations):
+        held += trials.judge(*_moved(sample, demonstration, start)).share
         if least is not None and i < n - 1 and (held + n - 1 - i <= least * n or (not held and i + 1 == _HOPELESS)):
             return 0.0
     return held / n
 
 
-def _confirmed(transfer: Transfer, trials: Trials, demonstrations: Sequence[Demonstration], start: int) -> float:
+def _confirmed(sample: Sample, trials: Trials, start: int) -> float:
     """The same of others, that nothing was chosen by."""
-    return float(np.mean([trials.confirm(_moved(transfer, each, start)[0]) for each in demonstrations]))
+    return float(np.mean([trials.confirm(_moved(sample, each, start)[0]) for each in sample.demonstrations]))
 
 
-def _moved(transfer: Transfer, demonstration: Demonstration, start: int):
-    aligned = transfer.aligned(demonstration, attempt=Attempt(basin=start or None))
-    return transfer.made(aligned, clouds=False)
+def _moved(sample: Sample, demonstration: Demonstration, start: int):
+    aligned = sample.transfer.aligned(demonstration, attempt=Attempt(basin=start or None))
+    return sample.transfer.made(aligned, clouds=False)

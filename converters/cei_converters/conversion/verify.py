@@ -8,6 +8,7 @@ import numpy as np
 
 from cei_converters.conversion.common import common_correction
 from cei_converters.conversion.refine import RefineOptions
+from cei_converters.conversion.sample import Sample
 from cei_converters.conversion.search import InTurn, Listed, Sampled, Search
 from cei_converters.conversion.starting import Chosen, choose_start
 from cei_converters.conversion.trials import Held, Trials
@@ -131,16 +132,17 @@ class Verifier:
     def choose_start(self, demonstrations: "Sequence[Demonstration]", done: Callable[[int], None]) -> Chosen | None:
         """The start of all episodes, by these; see `choose_start`."""
         assert self._refine is not None
-        return choose_start(self._transfer, self._stage, demonstrations, self._refine, self._allow_unreachable, done)
+        return choose_start(self._sample(demonstrations), self._refine, done)
 
     def search_common(
         self, demonstrations: "Sequence[Demonstration]", done: Callable[[int], None]
     ) -> Correction | None:
         """A correction for all episodes, by these; see `common_correction`."""
         assert self._refine is not None
-        return common_correction(
-            self._transfer, self._stage, demonstrations, self._refine, self._allow_unreachable, done
-        )
+        return common_correction(self._sample(demonstrations), self._refine, done)
+
+    def _sample(self, demonstrations: "Sequence[Demonstration]") -> Sample:
+        return Sample(self._transfer, self._stage, demonstrations, self._allow_unreachable)
 
     def _search(self, demonstration: "Demonstration", aligned: "Aligned", mode: int) -> Search:
         """What to try where the plain way does not hold."""
