@@ -96,6 +96,7 @@ def test_pictures_on_a_robot_are_those_of_the_wrapper_to_the_bit(folder: Path) -
     known = TrainedOn.load(folder / "ours")
     env: Any = CrossEmbodimentWrapper(gym.make(ENV, pixels=True, colours=True), paint=True)
     inner = robot_environment(env)
+    env.action_space.seed(0)
     shown, _ = env.reset(seed=0, options={"agent_pos": known.starts[0].astype(np.float32)})
     painted = []
     for _ in range(12):

@@ -18,7 +18,7 @@ from cei_gym.painting.light import Light
 from cei_gym.painting.view import Drawn, RobotView, delayed
 from cei_gym.rendering import unproject
 
-_LIT_EVERY, _MOST_LIT = 8, 8  # pictures between those that light is read from, and how many of them
+_LIT_AT = 0, 1, 2, 4, 8, 16, 32, 64  # pictures of an episode that light is read from: of one pose alone it is not right for others
 _IN_FRONT_M = 0.01
 
 
@@ -87,12 +87,19 @@ class LivePainter:
             picture: (H, W, 3) uint8.
             qpos: (n,) joints of the robot that acts, rad or m.
             shown_qpos: (n',) those of the robot that is to be seen.
-            depth_m: (H, W) along the optical axis, m, 0 where unknown; None where there is none.
+            depth_m: (H, W) along the optical axis, m, 0 or not finite where unknown; None where there is none.
             holds: whether the robot that acts holds something.
 
         Returns:
             (H, W, 3) uint8.
+
+        Raises:
+            CEIError: the picture or its depth is not of the camera's size.
         """
+        self._check("a picture", picture, (self.camera.height, self.camera.width, 3))
+        if depth_m is not None:
+            self._check("depth", depth_m, (self.camera.height, self.camera.width))
+            depth_m = np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0)
         qpos, shown_qpos = self._in_the_picture(qpos, shown_qpos)
         acting = self._acting.draw(qpos)
         silhouette = np.zeros((self.camera.height, self.camera.width), bool)
@@ -115,6 +122,12 @@ class LivePainter:
         layers = [layer.hard() for layer in layers] if self._finer == 1 else layers
         near_m = with_layers(scene, np.flatnonzero(robot), layers, depth_m)
         return with_robot(scene, near_m, drawn, self._shown.colours, self._light)
+
+    def _check(self, what: str, image: Array, shape: tuple[int, ...]) -> None:
+        if image.shape != shape:
+            raise CEIError(
+                f"{what} of {self.camera.name} should be {shape}, as its calibration says, not {image.shape}."
+            )
 
     def _in_the_picture(self, qpos: Array, shown_qpos: Array) -> tuple[Array, Array]:
         """Joints as a picture that trails them shows them."""
@@ -163,7 +176,7 @@ class LivePainter:
 
     def _look(self, picture: Array, acting: Drawn) -> None:
         """Read the light, from some pictures."""
-        if self._count % _LIT_EVERY == 0 and len(self._lit) < _MOST_LIT:
+        if self._count in _LIT_AT:
             self._lit.append((acting, picture / 255))
             drawn, pictures = zip(*self._lit, strict=True)
             self._light = Light.read(drawn, pictures, self._acting.colours, from_edges_px=2)
