@@ -18,7 +18,16 @@ from cei_gym.painting.light import Light
 from cei_gym.painting.view import Drawn, RobotView, delayed
 from cei_gym.rendering import unproject
 
-_LIT_AT = 0, 1, 2, 4, 8, 16, 32, 64  # pictures of an episode that light is read from: of one pose alone it is not right for others
+_LIT_AT = (
+    0,
+    1,
+    2,
+    4,
+    8,
+    16,
+    32,
+    64,
+)  # pictures of an episode that light is read from: of one pose alone it is not right for others
 _IN_FRONT_M = 0.01
 
 

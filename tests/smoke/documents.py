@@ -60,6 +60,7 @@ ELSEWHERE = {
     r"cei-calibrate .*--by=outlines .*": "needs ../shared; tests/test_outlines.py runs it",
     r"cei-(convert|view) .*--source\.root=data/g1 .*|cei-convert .*--dataset\.root=data/g1 .*": "needs ../shared; tests/test_outlines.py finds its camera",
     r"CEI_GYM_PACKAGE_PATH=\S+ python benchmarks/pads\.py": "needs ../shared/robots; a picture",
+    r"cei-benchmark policy --tasks=\w+ --targets=\S+ --variants=.*": "an hour; tests/test_policy_benchmark.py runs it smaller",
     r"cei-benchmark replay --tasks=(Lift,|Door |PickCube,Pick-Can).*": "half an hour; tests/test_benchmark_command.py runs it smaller",
     r"cei-benchmark replay (--tables=main|--seed=1000 --results=\S+)": "an hour; tests/test_benchmark_command.py runs it smaller",
 }
