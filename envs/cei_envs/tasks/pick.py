@@ -42,7 +42,7 @@ class PickEnv(LiftedEnv, ABC):
 
     ### Arguments
     See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,
-    `start_qpos`, `sensors`, `render_mode`.
+    `start_qpos`, `sensors`, `render_mode`, `pixels`.
     """
 
     thing: ClassVar[Thing]

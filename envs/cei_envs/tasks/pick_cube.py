@@ -35,6 +35,7 @@ class PickCubeEnv(CEIEnv):
     | `agent_pos` | (n,) | joint positions of arm, then end-effector | rad; m for slides | -inf | inf |
     | `point_cloud` | (1024, 3) | what the cameras see in the workspace, robot included; world frame; with `colours` (1024, 6), r, g, b in [0, 1] | m | workspace | workspace |
     | `environment_state` | (11,) | the cube, as below | as below | -inf | inf |
+    | `pixels` | camera to (120, 160, 3) uint8 | with `pixels`: the picture of each camera | - | 0 | 255 |
 
     | index of `environment_state` | meaning | unit | at a start |
     |---|---|---|---|
@@ -55,7 +56,7 @@ class PickCubeEnv(CEIEnv):
 
     ### Arguments
     See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,
-    `start_qpos`, `sensors`, `render_mode`.
+    `start_qpos`, `sensors`, `render_mode`, `pixels`.
     """
 
     task: ClassVar[str] = "PickCube"

@@ -46,7 +46,7 @@ class PlaceBirdEnv(PutIntoEnv):
 
     ### Arguments
     See `CEIEnv`: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,
-    `start_qpos`, `sensors`, `render_mode`.
+    `start_qpos`, `sensors`, `render_mode`, `pixels`.
     """
 
     task: ClassVar[str] = "PlaceBird"

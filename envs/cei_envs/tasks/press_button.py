@@ -48,7 +48,7 @@ class PressButtonEnv(ObjectsEnv):
     ### Arguments
     `middle_m`: x and y in metres, world, around which the button's place is drawn; default: the table's middle, 0 and 0. At most 0.26 and 0.46
     away from it, or it is a `CEIError`. See `CEIEnv` for the others: `embodiment`, `max_hold_ticks`, `image_width`, `image_height`, `clouds`, `cameras`, `depth_noise`, `colours`,
-    `start_qpos`, `sensors`, `render_mode`.
+    `start_qpos`, `sensors`, `render_mode`, `pixels`.
     """
 
     task: ClassVar[str] = "PressButton"
