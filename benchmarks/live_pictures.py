@@ -13,8 +13,8 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from compared import AWAY_M, LAST_SEED, OFF, SHOWN, SOURCE, TARGETS, TASKS, WIDTH, decibels, similarity, size
 from measure import save
-from pictures import AWAY_M, LAST_SEED, OFF, SHOWN, SOURCE, TARGETS, TASKS, WIDTH, decibels, similarity, size
 from PIL import Image
 
 import cei_gym  # noqa: F401  (registers the environments)

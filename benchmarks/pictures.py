@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from compared import AWAY_M, LAST_SEED, OFF, SHOWN, SOURCE, TARGETS, TASKS, WIDTH, decibels, similarity, size
 from measure import save
 from PIL import Image
-from scipy import ndimage
 
 from cei_converters.simulation.environment import open_environment
 from cei_converters.simulation.rollout import record_episode
@@ -27,16 +27,7 @@ from cei_gym.painting import Painter, Plate, Shot, carries
 from cei_gym.painting.view import RobotView
 from cei_gym.transfer import Transfer
 
-SOURCE = "Panda-PandaGripper"
-TASKS = "PickCube,StackCube,OpenDrawer"
-TARGETS = "UR5e-FourierRight,IIWA-Inspire,Kinova3-FourierLeft,Panda-RobotiqThreeFinger"
-WIDTH = 320
-OFF, LAST_SEED, LOOKED_AT, SHOWN = 10, 999, 8, 6
-AWAY_M = 5.0
-
-
-def size(width: int) -> dict[str, Any]:
-    return {"image_width": width, "image_height": 3 * width // 4}
+LOOKED_AT = 8  # pictures of an episode, for what is behind the robot
 
 
 def record(task: str, seeds: list[int], width: int) -> list[Demonstration]:
@@ -57,24 +48,6 @@ def true_pictures(env: Any, moved: Demonstration, frames: Array, states: Array) 
             kept.append(robot_environment(env).channels()["rgb"]["front"])
     pictures = np.stack(shown)
     return pictures, (pictures != np.stack(without)).any(axis=-1)
-
-
-def similarity(one: Array, other: Array) -> float:
-    """SSIM (Wang et al., 2004) of grey pictures, with a Gaussian window of 1.5 pixels."""
-    a, b = (picture.mean(axis=-1) for picture in (one, other))
-
-    def blur(image: Array) -> Array:
-        return ndimage.gaussian_filter(image, 1.5)
-
-    mean_a, mean_b = blur(a), blur(b)
-    var_a, var_b, both = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2, blur(a * b) - mean_a * mean_b
-    c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
-    structure = (2 * mean_a * mean_b + c1) * (2 * both + c2) / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
-    return float(structure.mean())
-
-
-def decibels(one: Array, other: Array) -> float:
-    return float(10 * np.log10(255**2 / max(np.mean((one.astype(float) - other) ** 2), 1e-9)))
 
 
 def measure(task: str, target: str, demonstrations: list[Demonstration], width: int) -> tuple[dict[str, Any], Array]:

@@ -90,7 +90,7 @@ def test_what_a_benchmark_measures_exists() -> None:
         assert measured_by(f"python {name} --seed=1" if name.endswith(".py") else name) == patterns
         for pattern in patterns:
             assert select(paths, [pattern.removeprefix("!")]), f"{name}: {pattern} is of no file"
-    scripts = {path.name for path in ROOT.glob("benchmarks/*.py")} - {"measure.py", "others.py"}
+    scripts = {path.name for path in ROOT.glob("benchmarks/*.py")} - {"compared.py", "measure.py", "others.py"}
     assert {f"benchmarks/{name}" for name in scripts} == {name for name in MEASURED if name.endswith(".py")}
     with pytest.raises(CEIError, match=r"'python benchmarks/other\.py' measures is not said"):
         measured_by("python benchmarks/other.py")

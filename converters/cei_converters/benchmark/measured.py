@@ -87,13 +87,22 @@ MEASURED: dict[str, tuple[str, ...]] = {
         *("cei_gym/*", "!cei_gym/augmentation.py", _PICTURES, *_RECORDED, "benchmarks/impersonation.py"),
     ),
     "benchmarks/live_pictures.py": (
-        *("cei_gym/*", "!cei_gym/augmentation.py", *_RECORDED, "benchmarks/live_pictures.py", "benchmarks/pictures.py"),
+        *("cei_gym/*", "!cei_gym/augmentation.py", *_RECORDED, "benchmarks/live_pictures.py", "benchmarks/compared.py"),
     ),
     "benchmarks/observation.py": (
         *(*_CLOUDS, "cei_gym/wrapper.py", *_ENVIRONMENTS, "benchmarks/observation.py", "benchmarks/measure.py"),
     ),
     "benchmarks/pads.py": ("cei_gym/embodiment/*", "cei_gym/functional/*", "cei_gym/rendering/*", "benchmarks/pads.py"),
-    "benchmarks/pictures.py": ("cei_gym/*", *_LIVE, "!cei_gym/augmentation.py", *_RECORDED, "benchmarks/pictures.py"),
+    "benchmarks/pictures.py": (
+        *(
+            "cei_gym/*",
+            *_LIVE,
+            "!cei_gym/augmentation.py",
+            *_RECORDED,
+            "benchmarks/pictures.py",
+            "benchmarks/compared.py",
+        ),
+    ),
     "benchmarks/scale.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/scale.py", "benchmarks/transfer.py"),
     "benchmarks/score.py": (
         *("cei_gym/twin/calibration.py", "converters/cei_converters/conversion/quality.py", "benchmarks/score.py"),
