@@ -1,5 +1,7 @@
 """What both benchmarks of painted pictures share: robots, tasks and sizes, and how far two pictures are apart."""
 
+import argparse
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,25 @@ TARGETS = "UR5e-FourierRight,IIWA-Inspire,Kinova3-FourierLeft,Panda-RobotiqThree
 WIDTH = 320
 OFF, LAST_SEED, SHOWN = 10, 999, 6
 AWAY_M = 5.0
+
+
+def arguments(description: str | None, seeds: str) -> argparse.ArgumentParser:
+    """What both are asked for."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tasks", default=TASKS)
+    parser.add_argument("--targets", default=TARGETS)
+    parser.add_argument("--seeds", default=seeds)
+    parser.add_argument("--results", type=Path)
+    return parser
+
+
+def parsed(parser: argparse.ArgumentParser) -> tuple[argparse.Namespace, list[int]]:
+    """What was said, and the seeds, which are those of development."""
+    args = parser.parse_args()
+    seeds = [int(seed) for seed in args.seeds.split(",")]
+    if max(seeds) > LAST_SEED:
+        parser.error(f"seeds are those of development, up to {LAST_SEED}")
+    return args, seeds
 
 
 def size(width: int) -> dict[str, Any]:

@@ -108,7 +108,8 @@ def dataset_of(work: Path, arm: str, demonstrations: int) -> DatasetConfig:
 
 
 def successes(work: Path, arm: str, dataset: DatasetConfig, steps: int, batch_size: int, seeds: range) -> list[bool]:
-    trained, evaluated = work / "trained" / arm, work / "evaluated" / f"{arm}-{seeds[0]}"
+    name = f"{arm}-{steps}x{batch_size}"
+    trained, evaluated = work / "trained" / name, work / "evaluated" / f"{name}-{seeds[0]}-{seeds[-1]}"
     given = f"--dataset.repo_id={dataset.repo_id}", f"--dataset.root={dataset.root}"
     if not (trained / "checkpoints" / f"{steps:06d}").exists():
         policy = (f"--policy.{name}={value}" for name, value in POLICY.items())
@@ -143,12 +144,16 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=Path("outputs/image-policy"))
     parser.add_argument("--results", type=Path)
     args = parser.parse_args()
+    arms = args.arms.split(",")
+    if unknown := sorted({*arms} - {*ARMS}):
+        parser.error(f"unknown arm {unknown[0]!r}; they are {', '.join(ARMS)}")
     seeds, found = range(args.seed, args.seed + args.episodes), {}
-    for arm in args.arms.split(","):
-        dataset = dataset_of(args.work, arm, args.demonstrations)
-        found[arm] = successes(args.work, arm, dataset, args.steps, args.batch_size, seeds)
+    work = args.work / f"{args.demonstrations}"  # what is made of others is not taken up
+    for arm in arms:
+        dataset = dataset_of(work, arm, args.demonstrations)
+        found[arm] = successes(work, arm, dataset, args.steps, args.batch_size, seeds)
         print(arm, sum(found[arm]), "of", len(seeds), flush=True)
-    found["blind"] = blindly(converted(args.work, True, args.demonstrations), False, seeds, EPISODE_LENGTH)
+    found["blind"] = blindly(converted(work, True, args.demonstrations), False, seeds, EPISODE_LENGTH)
     print("blind", sum(found["blind"]), "of", len(seeds))
     if args.results is not None:
         counts = {arm: {"successes": sum(of), "trials": len(of)} for arm, of in found.items()}

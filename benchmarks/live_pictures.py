@@ -7,13 +7,11 @@ more than 10 of 255: of the whole picture, painted and not, and of what is moved
 development, below 1000.
 """
 
-import argparse
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from compared import AWAY_M, LAST_SEED, OFF, SHOWN, SOURCE, TARGETS, TASKS, WIDTH, decibels, similarity, size
+from compared import AWAY_M, OFF, SHOWN, SOURCE, WIDTH, arguments, decibels, parsed, similarity, size
 from measure import save
 from PIL import Image
 
@@ -76,15 +74,8 @@ def play(task: str, target: str, seeds: list[int]) -> tuple[dict[str, Any], np.n
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", default=TASKS)
-    parser.add_argument("--targets", default=TARGETS)
-    parser.add_argument("--seeds", default="2,3")
-    parser.add_argument("--results", type=Path)
-    args = parser.parse_args()
-    seeds = [int(seed) for seed in args.seeds.split(",")]
-    if max(seeds) > LAST_SEED:
-        parser.error(f"seeds are those of development, up to {LAST_SEED}")
+    parser = arguments(__doc__, "2,3")
+    args, seeds = parsed(parser)
     table, sheet = [], []
     for task in args.tasks.split(","):
         for target in args.targets.split(","):

@@ -7,13 +7,11 @@ source covered and the target does not; the target; what is carried, from when i
 show the source, stand beside. Seeds are those of development, below 1000.
 """
 
-import argparse
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from compared import AWAY_M, LAST_SEED, OFF, SHOWN, SOURCE, TARGETS, TASKS, WIDTH, decibels, similarity, size
+from compared import AWAY_M, OFF, SHOWN, SOURCE, WIDTH, arguments, decibels, parsed, similarity, size
 from measure import save
 from PIL import Image
 
@@ -109,16 +107,9 @@ def measure(task: str, target: str, demonstrations: list[Demonstration], width: 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", default=TASKS)
-    parser.add_argument("--targets", default=TARGETS)
-    parser.add_argument("--seeds", default="0,1")
+    parser = arguments(__doc__, "0,1")
     parser.add_argument("--width", type=int, default=WIDTH, help="of pictures, which are three quarters as high")
-    parser.add_argument("--results", type=Path)
-    args = parser.parse_args()
-    seeds = [int(seed) for seed in args.seeds.split(",")]
-    if max(seeds) > LAST_SEED:
-        parser.error(f"seeds are those of development, up to {LAST_SEED}")
+    args, seeds = parsed(parser)
     table, sheet = [], []
     for task in args.tasks.split(","):
         demonstrations = record(task, seeds, args.width)

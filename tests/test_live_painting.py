@@ -106,7 +106,7 @@ def test_an_episode_does_not_depend_on_those_before(impersonated: Any, played: P
     np.testing.assert_array_equal(play(impersonated, 2).shown, played.shown)
 
 
-def test_where_what_is_seen_has_no_depth_pictures_are_painted_all_the_same(played: Played) -> None:
+def test_where_what_is_seen_has_no_depth_pictures_are_painted_all_the_same() -> None:
     env = open_environment(f"CEI-PickCube-{TARGET}", pixels=True, **SIZE)
     inner = robot_environment(env)
     observation, _ = env.reset(seed=2)

@@ -172,9 +172,21 @@ def test_a_checkpoint_that_does_not_say_what_it_was_trained_on_is_told_so(
     assert "Name the dataset that it was trained on instead (cei-deploy: --trained_on)" in capsys.readouterr().err
 
 
-def test_painting_twice_is_painting_once(folder: Path, tmp_path: Path) -> None:
+def test_data_that_are_not_painted_are_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    given = ["--dataset.repo_id=me/r", f"--dataset.root={folder}/recorded", f"--target={TARGET}"]
+    assert convert.main([*given, "--new_repo_id=me/plain", f"--new_root={tmp_path}/plain"]) == 0
+    policy = [f"--policy={folder / 'act'}", f"--trained_on={tmp_path / 'plain'}", f"--new_policy={tmp_path / 'new'}"]
+    assert deploy.main([*policy, "--paint"]) == 1
+    assert "plain are not painted (cei-convert --cameras.paint)" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_painting_twice_is_painting_once(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A copy of a copy has one step that paints."""
     assert deploy.main([f"--policy={folder / 'ours'}", "--paint", f"--new_policy={tmp_path / 'again'}"]) == 0
+    assert "are painted is not said; it is taken to be so" in capsys.readouterr().out
     assert len(steps(tmp_path / "again")) == len(steps(folder / "ours"))
 
 

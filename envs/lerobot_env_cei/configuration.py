@@ -53,9 +53,8 @@ class CEIEnvConfig(EnvConfig):
             for yes, unless the dataset is no converted one.
         clouds: options of these clouds, as those of `cei-convert`; None for the dataset's, else the default.
         cameras, depth_noise, colours: see `cei_envs.environment.CEIEnv`.
-        pixels: show policies the pictures of these cameras, `observation.images.<camera>`; None for those that the dataset has of the environment's
-            cameras.
-        paint: paint the robot over itself in them, as the robot of a converted dataset is painted; None for yes, if the dataset is painted.
+        pixels: show policies what the environment's cameras see, `observation.images.<camera>`; None for yes, if the dataset has pictures of one of them.
+        paint: paint the robot over itself in them, as in the pictures of a painted dataset; None for yes, if the dataset says that it is painted.
         arguments: others of the task's environment, by name, JSON such as {"middle_m": [0.0, 0.2]}; they win over the dataset's.
         episode_length: most steps of an episode.
         render: pictures for videos.
@@ -110,7 +109,7 @@ class CEIEnvConfig(EnvConfig):
         if self.pixels is None:
             self.pixels = not pictured.isdisjoint(cameras)
         if self.paint is None:
-            self.paint = self.pixels and self.augment and recorded is not None and _is_painted(recorded)
+            self.paint = self.pixels and self.augment and recorded is not None and recorded.is_painted
         if self.paint and not (self.pixels and self.augment):
             raise CEIError(
                 "--env.paint paints what --env.pixels shows, with --env.augment: turn both on, or leave it out."
@@ -181,12 +180,6 @@ def _read(dataset: str) -> tuple[Metadata, bool, set[str]]:
     starts = find_starts(root if (root / "data").is_dir() else locate(dataset, None))
     environment = replace(metadata.environment, kwargs=metadata.environment.kwargs | {START: starts})
     return replace(metadata, environment=environment), flat, pictured
-
-
-def _is_painted(recorded: Metadata) -> bool:
-    """Whether its pictures are painted, by the options of all that it was made by; an edited dataset does not say."""
-    cameras = [provenance.options.get("cameras") for provenance in recorded.provenances]
-    return all(isinstance(options, dict) and options.get("paint") is True for options in cameras)
 
 
 def _checked_task(task: str | None, recorded: Metadata | None, dataset: str | None) -> str:

@@ -12,6 +12,9 @@ from cei_converters.cli import run
 from cei_converters.cli.options import check_overwrite
 from cei_converters.cli.outputs import JSON, Outputs
 from cei_converters.cli.result import write_json
+from cei_converters.dataset.essentials import Remains
+from cei_converters.dataset.locate import INFO_PATH
+from cei_converters.dataset.opening import find_metadata
 from cei_converters.dataset.place import absent, check_parent
 from cei_converters.sources.calibration import FORMAT, Calibration, load_calibration
 from cei_gym.errors import CEIError, one_line
@@ -61,7 +64,10 @@ def deploy(config: DeployConfig) -> TrainedOn:
         CEIError: the checkpoint says nothing of a robot, the calibration does not fit it, or the new folder is there already.
     """
     result = Outputs(config.overwrite).file("--json", config.json, JSON)
-    known = TrainedOn.load(config.policy if config.trained_on is None else find(config.trained_on))
+    data = config.policy if config.trained_on is None else find(config.trained_on)
+    known = TrainedOn.load(data)
+    if config.paint:
+        _check_painted(data)
     said: list[str] = []
     if config.calibration is not None:
         calibration = load_calibration(config.calibration)
@@ -139,6 +145,17 @@ def what_is_said(calibration: Calibration) -> list[str]:
     """What a calibration says something of."""
     said = [f"camera {camera.name}" for camera in calibration.cameras]
     return said + [name for name in ("workspace_world", "T_world_base") if getattr(calibration, name) is not None]
+
+
+def _check_painted(data: Path) -> None:
+    """Check that pictures are painted, where data say so; a checkpoint and a dataset that was edited do not."""
+    metadata = find_metadata(data) if (data / INFO_PATH).is_file() else None
+    if metadata is None or isinstance(metadata, Remains):
+        print("Whether the pictures that the policy was trained on are painted is not said; it is taken to be so.")
+    elif not metadata.is_painted:
+        raise CEIError(
+            f"--paint: pictures of {data} are not painted (cei-convert --cameras.paint), so that the policy has learnt from others; leave it out."
+        )
 
 
 def _copy(policy: Path, new_policy: Path, known: TrainedOn, painted: list[str] | None) -> None:

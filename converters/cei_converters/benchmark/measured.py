@@ -94,14 +94,8 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "benchmarks/pads.py": ("cei_gym/embodiment/*", "cei_gym/functional/*", "cei_gym/rendering/*", "benchmarks/pads.py"),
     "benchmarks/pictures.py": (
-        *(
-            "cei_gym/*",
-            *_LIVE,
-            "!cei_gym/augmentation.py",
-            *_RECORDED,
-            "benchmarks/pictures.py",
-            "benchmarks/compared.py",
-        ),
+        *("cei_gym/*", *_LIVE, "!cei_gym/augmentation.py", *_RECORDED),
+        *("benchmarks/pictures.py", "benchmarks/compared.py"),
     ),
     "benchmarks/scale.py": (*_METHOD, *_RECORDED, *_CONVERSION, "benchmarks/scale.py", "benchmarks/transfer.py"),
     "benchmarks/score.py": (

@@ -122,6 +122,12 @@ class Metadata:
         """How they came about, in all."""
         return self.provenance, *self.merged
 
+    @property
+    def is_painted(self) -> bool:
+        """Whether the target is painted over the source in its pictures, by the options of all that it was made by; an edited dataset does not say."""
+        cameras = [provenance.options.get("cameras") for provenance in self.provenances]
+        return all(isinstance(options, dict) and options.get("paint") is True for options in cameras)
+
     def provenance_of(self, record: Mapping[str, Any], where: str) -> Provenance:
         """How an episode came about, by its record.
 
